@@ -58,15 +58,7 @@ def play(
 
 
 class Game:
-    """The window: it reads keys and mouse, and simulates one control step per frame.
-
-    Attributes:
-        agent: name of the present agent.
-        paused: whether time stands still.
-        running: False once the user has asked to quit.
-        target: (x, y) in segment lengths; from the task until the mouse moves.
-        message: why an agent could not be made, or "".
-    """
+    """The window: it reads keys and mouse, and simulates one control step per frame."""
 
     def __init__(
         self,

@@ -93,12 +93,10 @@ class PolicyCard:
     training_cpu_seconds: Seconds  #: time of all cores, of this process alone
     versions: dict[str, str]  #: of the libraries
     scores: Row  #: of the evaluation after training
-    #: one row per evaluation during training, with `CURVE_COLUMNS` and more
-    learning_curve: list[Row]
+    learning_curve: list[Row]  #: a row per evaluation during training, with `CURVE_COLUMNS`
     sha256: str = ""  #: of the weights file
     engine: str | None = None  #: the physics engine of its training; None if unknown
-    #: the arm that it was trained with, without perturbations; None if unknown
-    body: ArmParameters | None = None
+    body: ArmParameters | None = None  #: that of its training, without perturbations; or None
     #: steps in each block of its memory, see `History`; empty if it has none
     blocks: tuple[Annotated[int, Gt(0)], ...] = ()
 

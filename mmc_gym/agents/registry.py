@@ -42,8 +42,7 @@ class Knowledge:
     kind: Kind  #: "yours" for one that does not ship with the package
     lengths: str = "given"  #: whether it is given the segment lengths
     actions: str = "given"  #: whether it is given what its actions do (the servo and its limits)
-    #: what it looks at, and when
-    senses: str = "posture once, at the start; the target in every step"
+    senses: str = "posture once, at the start; the target in every step"  #: what it looks at
 
 
 UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
@@ -81,8 +80,7 @@ class AgentEntry:
     #: the control mode in which it is compared.  Agents that give joint targets act in every mode
     #: that has a servo; only joint positions do not depend on late senses.
     control: Control = "joint_position"
-    #: how many trainings of it ship with the package; 0 if it is not trained
-    training_seeds: int = 0
+    training_seeds: int = 0  #: how many trainings of it ship with the package; 0 if untrained
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment, whose wrappers may change no observation or action."""

@@ -79,8 +79,7 @@ class ResolvedAgent:
     #: the name from which `resolve` finds it again: "mmc", "ppo-3", "runs/ppo-1.json" or
     #: "module:function"; empty for functions and objects
     source: str
-    #: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship with the package
-    name: str = ""
+    name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship
     policy: Path | None = None  #: the path of its policy; None if it has none
     #: its model of stable-baselines3, or the file of one; None if it has none
     model: SavedModel | ModelAgent | None = None

@@ -64,10 +64,8 @@ class World(NamedTuple):
 
     control: Control | None = None  #: its control mode
     body: ArmParameters | None = None  #: its arm, without perturbations
-    #: class names of the wrappers that change observations or actions
-    wrappers: tuple[str, ...] = ()
-    #: and of your own wrappers of observations or actions that keep both spaces
-    others: tuple[str, ...] = ()
+    wrappers: tuple[str, ...] = ()  #: names of wrappers that change observations or actions
+    others: tuple[str, ...] = ()  #: your own wrappers of these that keep both spaces
 
 
 class ModelAgent(Agent[Any]):

@@ -181,8 +181,7 @@ class Comparison:
     #: the episodes of each agent, of one training after the other, and of `REFERENCE` if there are
     #: any; the i-th of each training have the same start and target
     recorded: Mapping[str, tuple[Episode, ...]]
-    #: environment steps spent in training each agent; None if unknown
-    training_steps: Mapping[str, int | None]
+    training_steps: Mapping[str, int | None]  #: environment steps, by agent; None if unknown
     #: one row per agent, training and episode: agent, training_seed, episode, seed, start, target,
     #: measures
     episodes: pd.DataFrame
@@ -190,8 +189,7 @@ class Comparison:
     #: target, for measures of `successes_only`
     summary: pd.DataFrame
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the environment
-    #: the control mode in which each agent acted
-    controls: Mapping[str, str] = field(default_factory=dict)
+    controls: Mapping[str, str] = field(default_factory=dict)  #: control mode, by agent
     has_interface: bool = False  #: whether the environment is one of yours with an `InterfacedEnv`
 
     @property

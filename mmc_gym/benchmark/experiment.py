@@ -96,11 +96,9 @@ class Block:
     #: one comes again
     targets: Annotated[Directions, MinLen(1)] = EIGHT
     probes: tuple[Probe, ...] = ()  #: trials among these in which something else happens
-    #: whether the perturbations grow over the block, to their strength in its last trial
-    gradual: bool = False
+    gradual: bool = False  #: whether perturbations grow, to their strength in the last trial
     rest: Annotated[float, Ge(0)] = 0.0  #: before the block, s
-    #: when the target appears, s after the start of a trial; the hand waits till then
-    go_cue: Seconds = 0.0
+    go_cue: Seconds = 0.0  #: when the target appears, s after the trial's start; the hand waits
 
     def __post_init__(self) -> None:
         share = sum(1 / probe.every for probe in self.probes)

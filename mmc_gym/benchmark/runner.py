@@ -120,10 +120,8 @@ class Outcome:
     """The result of a cell."""
 
     not_played: NotPlayed | None = None  #: why it was skipped or failed; None if it was played
-    #: its files, see `write_cell`; none unless played
-    files: Mapping[str, bytes] = field(default_factory=dict)
-    #: texts of each `MismatchWarning`, which a worker's terminal would not show
-    warned: tuple[str, ...] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)  #: by kind; none unless played
+    warned: tuple[str, ...] = ()  #: texts of each `MismatchWarning`, which workers do not show
 
 
 def run_cell(cell: BenchmarkCell) -> Outcome:

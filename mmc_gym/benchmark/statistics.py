@@ -84,8 +84,7 @@ class Scores:
     instances: tuple[int, ...]  #: number of instances in each environment
     #: by agent, E arrays (policies, instances), the instances in the order of their names
     values: Mapping[str, tuple[Floats, ...]]
-    #: by agent, its number of training seeds; 0 for one policy without training
-    seeds: Mapping[str, int]
+    seeds: Mapping[str, int]  #: by agent, the number of training seeds; 0 without training
 
 
 def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:

@@ -385,8 +385,7 @@ class Manifest(_Frozen):
     schema_version: Literal[3] = SCHEMA_VERSION
     episodes: int  #: in each environment whose trials are not numbered
     seed: int  #: of the starts and targets
-    #: facts of the measures of episodes by name, see `Quantity.facts`
-    measures: dict[str, dict[str, Any]] = {}
+    measures: dict[str, dict[str, Any]] = {}  #: of episodes by name, see `Quantity.facts`
     set_measures: dict[str, dict[str, Any]] = {}  #: facts of those of sets of episodes
     #: settings by name, and of the environment as it was played control_step (seconds),
     #: segment_lengths (of the arm that agents are given) and tolerance (the distance from the

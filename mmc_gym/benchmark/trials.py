@@ -72,10 +72,8 @@ class ExperimentResult:
     #: perturbation, 0 without), probe (empty for usual trials), target_angle (degrees), start_x,
     #: start_y (of the hand), go_step (control step of the go cue)
     trials: pd.DataFrame
-    #: positions in each row's trial, segment lengths, float32, (rows, steps + 1, 2)
-    hands: NDArray[np.float32]
-    #: likewise, of the cursor; of the hand where no cursor stands for it
-    cursors: NDArray[np.float32]
+    hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
+    cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
     targets: NDArray[np.float32]  #: likewise, of the target
     control_step: float  #: s
     lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`

@@ -53,8 +53,7 @@ class HingeArm:
     [[0.0, 0.0, 0.33], [0.08, 0.0, 0.65], [0.0, 0.0, 1.03], [0.09, 0.0, 0.93]]
     """
 
-    #: directions of the hinges in the zero posture, (n, 3); they are brought to length 1
-    axes: Floats
+    axes: Floats  #: directions of the hinges in the zero posture, (n, 3); brought to length 1
     points: Floats  #: a point on each axis in the zero posture, (n, 3)
     home: Floats  #: pose of the hand in the zero posture, (4, 4)
     limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite where there is none

@@ -42,8 +42,7 @@ class Plan(NamedTuple):
     far: float = 0.0  #: tolerance of held nodes, m; 0 where iterations shall not stop
     turn: float = 0.0  #: tolerance of the hand's rotation, radians
     alone: int = 0  #: iterations in which a block stops only when its first posture has settled
-    #: where the first posture lacks less than this, m², it has all iterations alone
-    near: float = 0.0
+    near: float = 0.0  #: a first posture that lacks less, m², has all iterations alone
     newton: int = 0  #: steps of Newton's method that follow then
     is_exact: bool = False  #: whether they follow in all blocks
     ridge: float = 0.0  #: their least damping, m²

@@ -85,8 +85,7 @@ class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
     rotation: Floats | None = None  #: of the hand, (..., 3, 3), or None
-    #: angles of held joints by joint, (...)
-    held: Mapping[int, Floats] = field(default_factory=dict)
+    held: Mapping[int, Floats] = field(default_factory=dict)  #: angles by joint, (...)
     #: positions of nodes by node, the hand's too, (..., 3)
     points: Mapping[int, Floats] = field(default_factory=dict)
 
@@ -104,8 +103,7 @@ class HingeSolution:
     """Where a network has settled; `...` are the batch axes of the task."""
 
     joint_angles: Floats  #: (..., n), within the limits
-    #: largest distance of a held node, the hand or a point, from its place, m
-    position_error: Floats
+    position_error: Floats  #: largest distance of a held node, the hand too, from its place, m
     rotation_error: Floats  #: angle between the hand's rotation and the wanted one, radians
     iterations: NDArray[np.int64]  #: iterations until it settled; up to 16 starts iterate together
     is_solved: NDArray[np.bool_]  #: whether both errors are within the tolerance

@@ -49,8 +49,7 @@ ALL = "all scenarios"
 class AgentIdentity:
     """Who an agent is."""
 
-    #: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package
-    name: str = ""
+    name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty for an agent of yours
     knowledge: Knowledge = UNKNOWN  #: its kind, what it is given, and what it senses
     #: of each of its trainings, 0 without one; None where it is unknown
     training_steps: tuple[int | None, ...] = ()
@@ -115,11 +114,9 @@ class Results:
     identities: Mapping[str, AgentIdentity]  #: who each agent is
     focus: tuple[str, ...]  #: the agents that the report is about
     measures: tuple[Measure, ...]  #: those that tables show and that have a value in some episode
-    #: measures of all episodes of a policy together, by name
-    set_measures: Mapping[str, SetMeasure]
+    set_measures: Mapping[str, SetMeasure]  #: of all episodes of a policy together, by name
     sets: pd.DataFrame  #: values of the `set_measures`, as `read_sets` returns them
-    #: as `rank_agents` returns it; empty if no scenario was attempted by all agents
-    ranking: pd.DataFrame
+    ranking: pd.DataFrame  #: of `rank_agents`; empty if no scenario was attempted by all
     resamples: int  #: number of bootstrap resamples in the tables of single scenarios
     ranking_resamples: int  #: number of those of the ranking
     store: Path  #: the folder

@@ -66,11 +66,9 @@ class Parts:
     identifies_body: bool = True
     finds_locks: bool = True  #: whether locked joints are found
     imagines: bool = True  #: whether several models settle; else one, from the present posture
-    #: whether the servos are inverted; else their target is the imagined posture
-    drives: bool = True
+    drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
     avoids: bool = True  #: whether contacts are remembered, and ways round them planned
-    #: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed
-    vigour: float = 1.0
+    vigour: float = 1.0  #: 1 as fast as servos allow, 0 as people: slower, with a bell-shaped speed
     #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
     #: several states, such as a fast one and a slow one, together at most 1.  At 1 all is learned
     #: within the movement.
