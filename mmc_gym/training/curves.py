@@ -39,9 +39,6 @@ def learning_curves(folder: Path | None, out: Path) -> None:
     """Print where learning curves end; write curves.csv (a row for each evaluation) and a figure.
 
     Policies are those of `folder`, see `read_cards`, or those that ship.
-
-    Raises:
-        UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
     """
     check_folder(out, "out")
     curves = curve_rows(read_cards(folder or PRETRAINED))
@@ -113,9 +110,8 @@ def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
 def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
     """Return all learning curves: a row for each evaluation of a training.
 
-    Returns:
-        Columns agent, seed, steps (environment steps), seconds (wall time), cpu_seconds, success
-        (part of the episodes), and the other scores of the evaluations; NaN where one is missing.
+    Columns agent, seed, steps (environment steps), seconds (wall time), cpu_seconds, success (part
+    of the episodes), and the other scores of the evaluations; NaN where one is missing.
     """
     rows: list[dict[str, Any]] = []
     for name, group in cards.items():
@@ -131,15 +127,8 @@ def mean_curves(curves: pd.DataFrame, against: Literal["steps", "cpu_seconds"]) 
 
     Its points `against` steps or time are the evaluations of the longest training between the last
     seed's first evaluation and the end of the shortest training, and that end.  One seed has no
-    interval.
-
-    Args:
-        curves: of `curve_rows`.
-        against: the column of the horizontal axis.
-
-    Returns:
-        Columns agent, `against`, success, low, high, seeds; names whose seeds do not overlap are
-        missing.
+    interval.  From `curves` of `curve_rows` return the columns agent, `against`, success, low, high
+    and seeds; names whose seeds do not overlap are missing.
     """
     rows = []
     for agent, group in curves.groupby("agent", sort=False):

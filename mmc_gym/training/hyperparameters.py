@@ -91,12 +91,7 @@ class Recipe:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All keys with their values, converted to what the constructor takes, or its defaults.
-
-        Raises:
-            UserError: if a key is unknown or missing, or its value is of another type than the
-                constructor's.
-        """
+        """All keys with their values, converted to what the constructor takes, or its defaults."""
         parameters = _parameters(self.algorithm_class)
         fields = {**{key: (one.annotation, one.default) for key, one in parameters.items()}, **_OWN}
         for key in self.hyperparameters:

@@ -104,8 +104,7 @@ class Training:
 
         Raises:
             FileExistsError: if there is a checkpoint or the policy, and `resume` is not set.
-            UserError: if the folder is a file, the environment or a hyperparameter is not accepted,
-                or the checkpoint is damaged or belongs to another training.
+            UserError: also if the checkpoint is damaged or belongs to another training.
         """
         check_folder(self.folder, "out")
         for file in (self.checkpoint, *self.policy_files):
@@ -267,10 +266,8 @@ def train(
 
     Without the folder `out` no files are kept, and `agent.save` writes the policy later.
     `env_kwargs` are in addition to those in the file of hyperparameters.  `on_progress` is called
-    after every rollout and every evaluation.
-
-    Returns:
-        The trained agent, with its `card`; it acts without torch.
+    after every rollout and every evaluation.  Return the trained agent, with its `card`; it acts
+    without torch.
 
     Raises:
         FileExistsError: if the folder holds a training, and `resume` is not set.
