@@ -6,16 +6,20 @@ import os
 import pkgutil
 import re
 import sys
+import warnings
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import loky
 import matplotlib
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.config import ENUM
 
 matplotlib.use("Agg")
+# A million arms need memory, after which joblib begins a new worker, as it should.
+warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
 DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS), str(DOCS.parent)]
 # Examples that start processes, or name a module of theirs, find it from the root of the project.
@@ -97,6 +101,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 1,
     "show_memory": False,
     "nested_sections": False,
+    "parallel": min(loky.cpu_count(), 4),
     "copyfile_regex": r".*\.ipynb",
 }
 

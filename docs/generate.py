@@ -15,6 +15,7 @@ import json
 import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
-from sphinx.util.display import progress_message, status_iterator
+from sphinx.util.display import progress_message
 from sphinx_gallery.scrapers import matplotlib_scraper
 
 import mmc_gym
 from mmc_gym._files import write_atomically
+from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
 from mmc_gym.agents import resolve
 from mmc_gym.benchmark.suite import SCENARIOS, make_player, play_episodes
@@ -202,8 +204,8 @@ def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
             shutil.rmtree(old)
     asked = {"all": [*scenarios], "some": some, "none": []}[films]
     missing = [name for name in asked if not (kept / f"{name}.json").is_file()]
-    for name in status_iterator(missing, "filming... ", length=len(missing)):
-        film(scenarios[name], kept)
+    with progress_message(f"filming {len(missing)} scenarios"):
+        run_grid(partial(film, folder=kept), [scenarios[name] for name in missing])
     for name, one in scenarios.items():
         facts = kept / f"{name}.json"
         counts = json.loads(facts.read_text()) if name in asked else None

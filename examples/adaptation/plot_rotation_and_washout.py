@@ -16,7 +16,7 @@ from mmc_gym.benchmark.experiment import Block, Experiment
 # An experiment is data: blocks of trials. This one is shorter than ``rotation-30``, which ships.
 # Each subject meets the eight targets in an order of its own.
 
-blocks = (Block("baseline", 16), Block("learning", 64, ("rotation-30",)), Block("washout", 32))
+blocks = (Block("baseline", 8), Block("learning", 48, ("rotation-30",)), Block("washout", 16))
 result = mmc_gym.run_experiment(Experiment("short", blocks), ["mmc-body", "ppo"], 4, jobs=1)
 
 # %%
@@ -31,7 +31,7 @@ plt.show()
 # the same rows. Here are the cursors of eight trials at four times.
 
 trials = result.trials
-moments = {"baseline": 8, "first turned": 16, "last turned": 72, "first again": 80}
+moments = {"baseline": 0, "first turned": 8, "last turned": 48, "first again": 56}
 figure, axes = plt.subplots(1, 4, figsize=(8, 2.4), sharex=True, sharey=True, layout="constrained")
 for axis, (name, first) in zip(axes, moments.items(), strict=True):
     at = (trials["agent"] == "mmc-body") & trials["trial"].between(first, first + 7)
