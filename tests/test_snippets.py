@@ -80,7 +80,8 @@ def fill(folder):
     for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):
         shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
     run(folder, "-c", MODEL)
-    run(folder, "-m", "mmc_gym.cli", *small("mmc-gym benchmark"))
+    for command in ("mmc-gym benchmark", "mmc-gym adapt rotation-30 --agents mmc"):
+        run(folder, "-m", "mmc_gym.cli", *small(command))
 
 
 @pytest.fixture
