@@ -416,7 +416,9 @@ def read_manifest(folder: Path | str) -> Manifest:
     try:
         manifest = Manifest.model_validate_json(content := path.read_bytes())
     except FileNotFoundError as error:
-        raise UserError(f"folder must hold a store, got {str(folder)!r}") from error
+        raise UserError(
+            f"folder must hold a benchmark's or an experiment's store, got {str(folder)!r}"
+        ) from error
     except ValidationError as error:
         raise UserError(f"{path} cannot be read: {explain(error)}") from error
     entries = json.loads(content)
