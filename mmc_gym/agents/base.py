@@ -171,7 +171,7 @@ class InternalModelAgent(Agent[State]):
         """Return the state of internal models in the sensed postures."""
 
     def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
-        """Return the state to resume from; see the function `resumed`."""
+        """Return the given state, with new arms and begun episodes from `start`."""
         batch = sensed.joint_angles.shape[:-1]
         return resumed(state, lambda: self.start(sensed), batch, episode_start, self._layouts)
 

@@ -214,10 +214,12 @@ def closed_form(
 
 
 def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Floats) -> Floats:
-    """Return all solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
+    """Return postures that bring the hand to `target`, radians in any turn, (..., solutions, N).
 
-    With three segments the sweep includes both ends of the interval of orientations, and the
-    orientation of `joint_angles`, or the end next to it.
+    A target out of reach counts as the nearest point within.  One or two segments have one or two
+    postures.  With three segments there is one for each way to bend and each of several
+    orientations of the last segment: the extreme ones, some between them, and that of
+    `joint_angles`, or the extreme one next to it.
     """
     count = len(segment_lengths)
     if count > 3:

@@ -362,7 +362,7 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
         cells = tuple(_learned(found.get(one["measure"])) for one in facts)
         look = "people" if agent == PEOPLE else "focus" if agent in focus else ""
         rows.append(TableRow(str(agent), cells, look=look))
-    cited = [one for one in people(result.experiment.family).values()]
+    cited = people(result.experiment.family).values()
     tasks = "".join(f" {one.source}: {one.task}; what differs: {one.differs}." for one in cited)
     return Table(
         f"Learning in {name}",

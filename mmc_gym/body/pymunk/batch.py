@@ -25,7 +25,14 @@ from typing_extensions import override
 
 from mmc_gym.body.base import ArmBatch, Floats, Indices
 from mmc_gym.body.parameters import ArmParameters, Servo
-from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import (
+    FULL,
+    MOTION,
+    HandField,
+    Linkage,
+    forget_impulses,
+    make_space,
+)
 
 ARMS_PER_GROUP = 128  # larger groups need fewer calls, but fit the cache less well
 _WORTH_A_THREAD = 16  # arms
@@ -96,7 +103,7 @@ class ArmGroup:
             return [linkage.yields(substep) for linkage in self.linkages]
         give = self._each(chipmunk.cpConstraintGetImpulse, self._servos)
         most = self._each(chipmunk.cpConstraintGetMaxForce, self._servos)
-        return give >= (1 - 1e-9) * most * substep
+        return give >= FULL * most * substep
 
     def _joint_velocities(self) -> Floats:
         if len(self._spaces) > 1:  # a call for each body is quicker than one for each Space

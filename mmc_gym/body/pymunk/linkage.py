@@ -29,6 +29,7 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 _FEWEST_SWEEPS, _MOST_SWEEPS = 20, 500  # with the most, a step of three segments takes 0.1 ms
+FULL = 1 - 1e-9  # share of a servo's largest impulse that counts as all of it
 _SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
 _SWEEPS_PER_LOAD = 12  # of the load at the hand, in the same unit
 _LARGEST_RATIO_OF_NEIGHBOURS = 10.0
@@ -198,7 +199,7 @@ class Linkage:
         if self.locked:
             held |= {joint for joint, _ in self.locks}
         return [
-            float(joint not in held and give(servo) >= (1 - 1e-9) * most(servo) * substep)
+            float(joint not in held and give(servo) >= FULL * most(servo) * substep)
             for joint, servo in enumerate(self.servo_handles)
         ]
 
