@@ -23,12 +23,12 @@ def linearity_index(points: ArrayLike) -> float:
     """
     path = np.asarray(points, dtype=np.float64)
     away = path - path[0]
-    length = float(np.linalg.norm(away[-1]))
+    length = math.sqrt(away[-1].dot(away[-1]))
     if length == 0.0:
         return math.nan
     along = away[-1] / length
     across = away - (away @ along)[:, None] * along
-    return float(np.linalg.norm(across, axis=-1).max()) / length
+    return math.sqrt((across * across).sum(axis=-1).max()) / length
 
 
 @measure(label="path / direct line", best="low", shown=True, successes_only=True)

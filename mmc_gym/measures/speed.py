@@ -111,7 +111,11 @@ def correlation_with_minimum_jerk(
     profile = np.asarray(speeds, dtype=np.float64)
     if profile.size < 3 or np.ptp(profile) == 0.0:
         return math.nan
-    return float(np.corrcoef(profile, _minimum_jerk_profile(profile.size, span))[0, 1])
+    # As np.corrcoef does, bit for bit, in a fifth of its time.
+    both = np.stack((profile - profile.mean(), _minimum_jerk_profile(profile.size, span)))
+    (own, shared), (_, ideal) = (np.dot(both, both.T) * (1 / (profile.size - 1))).tolist()
+    correlation = shared / math.sqrt(own) / math.sqrt(ideal)
+    return min(max(correlation, -1.0), 1.0)
 
 
 @measure(
@@ -129,7 +133,9 @@ def minimum_jerk_correlation(episode: Episode) -> float:
 
 @lru_cache(maxsize=1024)
 def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
+    """Return how far minimum jerk moves in each step, less the mean."""
     profile: Floats = np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
+    profile -= profile.mean()
     profile.flags.writeable = False  # the cache shares it
     return profile
 
