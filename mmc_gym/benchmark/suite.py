@@ -96,6 +96,7 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any 
     found = Scenario(name_of(env), "", env=env)
     if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
         found = scenario(env)
+        make_environment(env, **env_kwargs).close()  # so that an error names the scenario
     given = {**found.env_kwargs, **env_kwargs}
     return replace(found, env_kwargs=given, interface=interface)
 

@@ -59,7 +59,8 @@ def check_environment(env: gym.Env[Any, Any]) -> None:
             missing.append(f"env.unwrapped.{name}")
     if missing:
         raise UserError(
-            f"env must be a reaching environment such as 'MMCReach-v0', got {env}, "
+            "env must be a reaching environment such as 'MMCReach-v0', got "
+            f"{env.spec.id if env.spec else env}, "
             f"which lacks {', '.join(missing)}; to any other belongs an interface=..."
         )
 

@@ -190,7 +190,7 @@ def test_agents_that_do_not_fit_and_names_that_the_encoding_lacks_are_no_loss(tm
         ({"agents": ["mmc", "nobody"]}, "'nobody' is not accepted"),
         ({"agents": ["mmc"], "out": __file__}, "out must be a folder"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
-        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*CartPole-v1"),
+        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be .*, got CartPole-v1"),
         ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
     ],
 )

@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
+from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios, played_scenario
 from mmc_gym.envs.perturbations import (
     FAMILIES,
     ForceField,
@@ -113,7 +113,8 @@ def test_an_environment_is_no_name_of_one():
     ],
 )
 def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint):
-    for make in (mmc_gym.make, mmc_gym.make_vec, lambda name: find_scenarios([name])):
+    find, play = lambda name: find_scenarios([name]), lambda name: played_scenario(name, {})
+    for make in (mmc_gym.make, mmc_gym.make_vec, find, play):
         with pytest.raises(UserError, match=hint):
             make(name)
         make(mended)
