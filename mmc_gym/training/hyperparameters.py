@@ -39,7 +39,7 @@ from mmc_gym._errors import UserError, explain, require, require_whole, shown, u
 from mmc_gym._files import read_yaml
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
-from mmc_gym.training.vec_env import RandomScenarios, Residual
+from mmc_gym.training.vec_env import Residual
 
 ALGORITHMS: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
 SUFFIXES = (".yml", ".yaml")
@@ -64,10 +64,10 @@ class Recipe:
     env_id: str  #: the environment to train in
     hyperparameters: dict[str, Any]  #: the entry of the file for it
 
-    #: policies, wrappers and replay buffers that the entry may name
-    classes: ClassVar[Mapping[str, type]] = {
+    #: policies, wrappers and replay buffers that the entry may name; a module of yours may add some
+    classes: ClassVar[dict[str, type]] = {
         **POLICIES,
-        **{f"{kind.__module__}.{kind.__name__}": kind for kind in (Residual, RandomScenarios)},
+        f"{Residual.__module__}.{Residual.__name__}": Residual,
         "HerReplayBuffer": HerReplayBuffer,
     }
 

@@ -52,7 +52,7 @@ from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_network
 from mmc_gym.training.training import Training, TrainingProgress
-from mmc_gym.training.vec_env import RandomScenarios
+from studies.learners.random_scenarios import RandomScenarios
 
 Float32 = NDArray[np.float32]
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]

@@ -11,11 +11,12 @@ from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 from mmc_gym._errors import UserError
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
-from mmc_gym.training.vec_env import RandomScenarios, Residual
+from mmc_gym.training.vec_env import Residual
+from studies.learners.random_scenarios import RandomScenarios
 
 POLICIES = "mmc_gym.training.policies"
 RESIDUAL = "mmc_gym.training.vec_env.Residual"
-RANDOM = "mmc_gym.training.vec_env.RandomScenarios"
+RANDOM = "studies.learners.random_scenarios.RandomScenarios"
 HER = "HerReplayBuffer"
 SAC: dict[str, Any] = {"algorithm": "sac"}
 

@@ -18,9 +18,10 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
+from studies.learners.random_scenarios import RandomScenarios
 
 LEGS = 4
-RANDOM_SCENARIOS = "mmc_gym.training.vec_env.RandomScenarios"
+RANDOM_SCENARIOS = f"{RandomScenarios.__module__}.RandomScenarios"
 RESIDUAL = "mmc_gym.training.vec_env.Residual"
 SMALL = {"n_timesteps": 1600, "n_envs": 4, "policy_kwargs": {"net_arch": [8]}}
 DELAYS = {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}}}
