@@ -187,6 +187,8 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
 def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
 
+    At most 180°, which stands for flat: on a circle nothing is wider.
+
     y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
     target's direction less the trained one, degrees, (probes,).
 
@@ -200,4 +202,4 @@ def generalization_width(adaptation: Floats, offsets: Floats) -> float:
         lambda at: at[0] * np.exp(-(((offsets - at[1]) / at[2]) ** 2) / 2) - adaptation,
         (height, *centres[best], *widths[best]),
     )
-    return abs(float(found[2]))
+    return min(abs(float(found[2])), float(_WIDTHS.max()))

@@ -101,6 +101,7 @@ def test_the_width_of_a_gaussian(width):
     adaptation = 20 * np.exp(-((offsets - 5) ** 2) / (2 * width**2))
     assert generalization_width(adaptation, offsets) == pytest.approx(width, rel=1e-3)
     assert np.isnan(generalization_width(adaptation[:3], offsets[:3]))
+    assert generalization_width(np.full(len(offsets), 20.0), offsets) == pytest.approx(180)
 
 
 def learning_in(schedule, learner, kinds="", rest=0):
