@@ -400,16 +400,16 @@ def train(
 
 
 @_command
-def curves(folder: OtherPlace = None, out: Place = Path("runs/curves")) -> None:
+def curves(agents: Names = (), out: Place = Path("runs/curves")) -> None:
     """Draw learning curves over training seeds; write figure and data, print where they end.
 
     Args:
-        folder: Folder of trained policies; those that ship, if not given.
+        agents: Trained policies, such as ppo or 'runs/mine-*'; all that ship, if not given.
         out: Folder for curves.csv and the figure.
     """
     from mmc_gym.training.curves import learning_curves
 
-    learning_curves(folder, out)
+    learning_curves(agents, out)
 
 
 @_command

@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
 
 # %%
-# These are the policies that ship. ``read_cards("runs")`` reads your own, which ``mmc-gym train``
-# writes there; ``mmc-gym curves --folder runs`` draws them.
+# These are the policies that ship. ``read_cards("runs/mine-*")`` reads your own, which ``mmc-gym
+# train`` wrote; ``mmc-gym curves --agents 'runs/mine-*'`` draws them.
 
 cards = read_cards()
 rows = curve_rows(cards)

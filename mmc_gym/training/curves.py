@@ -14,10 +14,9 @@ does.  A training runs on one thread: on an idle core its wall time is the same.
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,17 +30,19 @@ from mmc_gym._console import interval, make_console, print_list, print_written
 from mmc_gym._errors import UserError, require
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._plotting import LINES, STYLE, save_figure
-from mmc_gym.agents.policy import EVALUATION_EPISODES, PRETRAINED, PolicyCard, load_policy
+from mmc_gym.agents import AGENTS
+from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
+from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.statistics import success_interval
 
 
-def learning_curves(folder: Path | None, out: Path) -> None:
+def learning_curves(agents: Agents, out: Path) -> None:
     """Print where learning curves end; write curves.csv (a row for each evaluation) and a figure.
 
-    Policies are those of `folder`, see `read_cards`, or those that ship.
+    The agents are those of `read_cards`.
     """
     check_folder(out, "out")
-    curves = curve_rows(read_cards(folder or PRETRAINED))
+    curves = curve_rows(read_cards(agents))
     against_steps, against_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     content = curves.to_csv(index=False, lineterminator="\n")
     written = [write_atomically(out / "curves.csv", content)]
@@ -62,49 +63,20 @@ def learning_curves(folder: Path | None, out: Path) -> None:
     print_written(console, written)
 
 
-def read_cards(folder: Path | str = PRETRAINED) -> dict[str, list[PolicyCard]]:
-    """Read the cards of all policies in a folder: by name, in the order of their seeds.
+def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:
+    """Return the cards of trained policies by label, in the order of their seeds.
 
-    The default is those that ship with the package.  A policy is a file NAME-SEED.json with its
-    NAME-SEED.safetensors.  If the folder has none, the folders in it are searched, since single
-    trainings write into such.
-
-    Raises:
-        FileNotFoundError: if a policy lacks its weights.
-        UserError: if there are no policies, one is damaged, or policies of the same name have the
-            same seed, or different environments or hyperparameters.
+    The agents are names, files, folders or patterns, such as "runs/mine-*", see
+    `mmc_gym.agents.resolve`; by default all trained ones that ship.
     """
-    folder, cards = Path(folder), dict[str, list[PolicyCard]]()
-    for pattern in ("*.json", "*/*.json"):
-        paths = sorted(folder.glob(pattern))
-        if found := [path for path in paths if re.fullmatch(r".+-\d+", path.stem)]:
-            break
-    else:
-        raise UserError(
-            "folder must hold trained policies (NAME-SEED.json and NAME-SEED.safetensors), "
-            f"found none in {str(folder)!r}"
-        )
-    for path in found:
-        _, card = load_policy(path)
-        cards.setdefault(card.name, []).append(card)
-    for group in cards.values():
-        group.sort(key=lambda card: card.seed)
-        for card, other in pairwise(group):
-            _check_alike(folder, card, other)
-    return dict(sorted(cards.items()))
-
-
-def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
-    """Raise a `UserError` unless two cards differ in their seeds only."""
-    if card.seed == other.seed:
-        raise UserError(f"{folder} must hold one policy {card.file_stem}, got two")
-    one, another = ({"environment": each.env_id, **each.hyperparameters} for each in (card, other))
-    keys = sorted(one.keys() | another.keys(), key=lambda key: (key != "environment", key))
-    if different := [key for key in keys if one.get(key) != another.get(key)]:
-        raise UserError(
-            f"policies of the same name must have the same hyperparameters, but {card.file_stem} "
-            f"and {other.file_stem} in {folder} differ in {', '.join(different)}"
-        )
+    shipped = sorted(name for name, entry in AGENTS.items() if entry.training_seeds)
+    cards: dict[str, list[PolicyCard]] = {}
+    for one in resolve_all(agents or shipped):
+        if one.card is None:
+            raise UserError(f"agents must be trained policies with a card, got {one.label!r}")
+        seed = 0 if one.training_seed is None else one.training_seed
+        cards.setdefault(one.label, []).append(replace(one.card, seed=seed))
+    return cards
 
 
 def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:

@@ -1,7 +1,7 @@
 """Print how many steps and minutes trainings take until their policies reach.
 
     python -m studies.learners.trainings                     # the policies that ship
-    python -m studies.learners.trainings --folder runs       # your own, of `mmc-gym train`
+    python -m studies.learners.trainings --agents ppo 'runs/mine-*'    # your own beside it
     python -m studies.learners.trainings --out runs/trainings
 
 The numbers come from the cards of the policies, so that nothing is trained.  With --out they are
@@ -22,7 +22,7 @@ import tyro
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mmc_gym.agents.policy import EVALUATION_EPISODES, FINAL_EPISODES, PRETRAINED, PolicyCard
+from mmc_gym.agents.policy import EVALUATION_EPISODES, FINAL_EPISODES, PolicyCard
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     Interval,
@@ -177,14 +177,14 @@ def cell(row: Mapping[str, float], at_most: int) -> str:
     return "\n".join(lines)
 
 
-def main(folder: Path = PRETRAINED, out: Path | None = None) -> None:
+def main(agents: tuple[str, ...] = (), out: Path | None = None) -> None:
     """Print the table of trainings.
 
     Args:
-        folder: Folder of trained policies (default: those that ship with the package).
+        agents: Trained policies, see `mmc_gym.agents.resolve` (default: all that ship).
         out: Folder for the numbers as CSV; none by default.
     """
-    rows = trainings(read_cards(folder))
+    rows = trainings(read_cards(agents))
     summary = summarize(rows)
     console = Console(width=170)  # eight names side by side
     console.print(table_of(cells(rows, summary)))

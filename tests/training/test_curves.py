@@ -31,25 +31,19 @@ def write(folder, *cards):
     return folder
 
 
-def test_the_policies_that_ship_or_those_of_a_folder_or_of_folders_in_it_are_read(tmp_path):
+def test_cards_are_of_all_that_ship_or_of_agents_by_name_or_pattern(tmp_path):
     assert {name: len(cards) for name, cards in read_cards().items()} == {
         name: agent.training_seeds for name, agent in AGENTS.items() if agent.training_seeds
     }
-    (tmp_path / "summary.json").write_text("{}")
-    with pytest.raises(UserError, match="found none in"):
-        read_cards(tmp_path)
     for seed in (10, 2):
-        write(tmp_path / f"ppo-{seed}", training(seed=seed))
-    assert [card.seed for card in read_cards(tmp_path)["ppo"]] == [2, 10]
-    assert list(read_cards(str(tmp_path / "ppo-2"))) == ["ppo"]
-
-
-def test_different_trainings_under_one_name_are_an_error(tmp_path):
-    other = {"hyperparameters": {**CARD.hyperparameters, "gamma": 0.8}}
-    for change, different in ((other, "gamma"), ({"env_id": "other"}, "environment")):
-        write(tmp_path, training(seed=0), training(seed=1), training(seed=4, **change))
-        with pytest.raises(UserError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
-            read_cards(tmp_path)
+        write(tmp_path / f"mine-{seed}", training("mine", seed=seed))
+    found = read_cards(["sac-1", str(tmp_path / "mine-*")])
+    assert {name: [card.seed for card in cards] for name, cards in found.items()} == {
+        "sac-1": [1],
+        "mine": [2, 10],
+    }
+    with pytest.raises(UserError, match="agents must be trained policies with a card, got 'mmc'"):
+        read_cards(["mmc"])
 
 
 def test_there_is_a_row_for_each_evaluation_of_each_training():
@@ -97,7 +91,8 @@ def test_the_command_draws_the_figure_writes_the_data_and_prints_where_curves_en
     single = training("sac", success=(0.1, 0.2))
     write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), single)
     out = tmp_path / "out"
-    main(["curves", "--folder", str(tmp_path / "in"), "--out", str(out)])
+    patterns = [f"{name}={tmp_path}/in/{name}-*.json" for name in ("ppo", "sac")]
+    main(["curves", "--agents", *patterns, "--out", str(out)])
     figures = {"learning_curves.png", "learning_curves.svg"}
     assert {path.name for path in out.iterdir()} == {"curves.csv", *figures}
     assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
@@ -131,7 +126,7 @@ def test_steps_and_minutes_to_a_level_are_the_median_over_seeds_and_may_be_later
 def test_the_study_prints_and_writes_its_table(tmp_path, capsys, monkeypatch):
     few = [training(seed=seed, success=(0.5, 1.0) if seed else (0.5, 0.5)) for seed in range(3)]
     cards = {"ppo": few, "sac": [training(success=(0.5, 0.96), scores={"success": 0.96})]}
-    monkeypatch.setattr(study, "read_cards", lambda folder: cards)
+    monkeypatch.setattr(study, "read_cards", lambda agents: cards)
     study.main(out=tmp_path)
     assert len(pd.read_csv(tmp_path / "trainings.csv")) == 4
     table = pd.read_csv(tmp_path / "table.csv").set_index(["agent", "measure"])
