@@ -3,7 +3,7 @@
 from mmc_gym.measures.episode import Episode
 
 # This order is that of the columns of data and the rows of tables.
-from mmc_gym.measures import reaching, path, speed, sets  # isort: skip
+from mmc_gym.measures import reaching, speed, sets  # isort: skip
 from mmc_gym.measures.catalogue import (
     MEASURES,
     SET_MEASURES,
@@ -26,7 +26,6 @@ __all__ = [
     "leave_out_failures",
     "measure",
     "measure_all",
-    "path",
     "reaching",
     "run_episodes",
     "set_measure",

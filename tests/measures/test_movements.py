@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mmc_gym.measures import path, reaching, speed
+from mmc_gym.measures import reaching, speed
 from mmc_gym.measures.episode import hand_speed, moving_part
 from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.network.time_base import minimum_jerk
@@ -67,13 +67,13 @@ def test_jitter_of_a_circle_is_its_radius_wherever_the_target_goes(make_episode)
 def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(make_episode):
     angles = np.linspace(0, math.pi, 1001)
     hands = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    assert path.linearity_index(hands) == pytest.approx(0.5)
+    assert reaching.linearity_index(hands) == pytest.approx(0.5)
     episode = make_episode(hands, hands[-1])
-    assert path.path_ratio(episode) == pytest.approx(math.pi / 2, rel=1e-5)
-    assert path.maximal_deviation(episode) == pytest.approx(0.5)
+    assert reaching.path_ratio(episode) == pytest.approx(math.pi / 2, rel=1e-5)
+    assert reaching.maximal_deviation(episode) == pytest.approx(0.5)
     there_and_back = make_episode([*hands, *hands[::-1]], [9.0, 9.0])
-    assert math.isnan(path.maximal_deviation(there_and_back))
-    assert math.isnan(path.linearity_index(np.ones((5, 2))))
+    assert math.isnan(reaching.maximal_deviation(there_and_back))
+    assert math.isnan(reaching.linearity_index(np.ones((5, 2))))
 
 
 @pytest.mark.parametrize(
@@ -86,14 +86,14 @@ def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(
     ],
 )
 def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, target, ratio):
-    found = path.path_ratio(make_episode(hands, target))
+    found = reaching.path_ratio(make_episode(hands, target))
     assert found == pytest.approx(ratio, nan_ok=True)
 
 
 def test_under_a_rotation_path_ratio_is_that_of_the_cursor(make_episode):
     cursors = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     episode = make_episode([[0, 0], [0, 0.1], [0, 0.2]], [1.0, 1.0], cursors=cursors)
-    assert path.path_ratio(episode) == pytest.approx(math.sqrt(2))
+    assert reaching.path_ratio(episode) == pytest.approx(math.sqrt(2))
 
 
 def hands_of(joint_angles):
@@ -108,7 +108,7 @@ def test_a_line_in_hand_space_differs_from_one_in_joint_space(make_episode):
 
     def straighter_in_hand_space(hands, joint_angles):
         episode = make_episode(hands, hands[-1], joint_angles=joint_angles)
-        return path.hand_over_joint_straightness(episode)
+        return reaching.hand_over_joint_straightness(episode)
 
     assert straighter_in_hand_space(hands, joint_angles) == pytest.approx(-1)
     assert straighter_in_hand_space(line, bent) == pytest.approx(1)
