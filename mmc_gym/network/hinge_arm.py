@@ -17,7 +17,6 @@ the nodes are the joints of a chain of rigid segments.  Its base is node 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,9 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, missing, require, require_array, require_choice
+from mmc_gym._files import read_yaml
 from mmc_gym.network.chain import Floats
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
+_TABLES = Path(__file__).with_name("arms.yml")
 _MEET = 1e-4  # axes meet where they come this near to a point, m
 
 
@@ -82,15 +83,15 @@ class HingeArm:
     def named(cls, name: NamedArm) -> HingeArm:
         """Return a robot of the tables.
 
-        - `"panda"`: Franka Emika Panda, from `panda_link0` to the flange `panda_link8` (Franka
-          Control Interface, "Denavit–Hartenberg parameters" and "limits for Panda").
-        - `"ur5"`: Universal Robots UR5, from `base_link` to the flange `tool0` (ROS-Industrial's
-          `universal_robot`, after UR's "DH parameters for calculations").
-        - `"iiwa"`: KUKA LBR iiwa 14 R820, from `lbr_iiwa_link_0` to `lbr_iiwa_link_7` (KUKA's
-          data sheet, as in the model that pybullet ships).
+        - `"panda"`: Franka Emika Panda, from `panda_link0` to the flange `panda_link8`.
+        - `"ur5"`: Universal Robots UR5, from `base_link` to the flange `tool0`.
+        - `"iiwa"`: KUKA LBR iiwa 14 R820, from `lbr_iiwa_link_0` to `lbr_iiwa_link_7`.
+
+        Their numbers and sources are in `arms.yml` beside this module.
         """
         require_choice("name", name, get_args(NamedArm))
-        return _TABLES[name]()
+        table = read_yaml(_TABLES.read_text(encoding="utf-8"))[name]
+        return cls(**table)
 
     @classmethod
     def from_urdf(cls, path: Path | str, base: str, tip: str) -> HingeArm:
@@ -208,54 +209,3 @@ class HingeArm:
         """Return the largest distance of a point from some axes."""
         away = np.cross(self.axes[joints], point - self.points[joints])
         return float(np.linalg.norm(away, axis=1).max())
-
-
-_X, _Y, _Z = np.eye(3)
-
-
-def _panda() -> HingeArm:
-    heights = (0.333, 0.333, 0.649, 0.649, 1.033, 1.033, 1.033)
-    forward = (0.0, 0.0, 0.0, 0.0825, 0.0, 0.0, 0.088)
-    low = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973)
-    high = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973)
-    return HingeArm(
-        axes=np.array([_Z, _Y, _Z, -_Y, _Z, -_Y, -_Z]),
-        points=np.outer(forward, _X) + np.outer(heights, _Z),
-        home=_pose([_X, -_Y, -_Z], (0.088, 0.0, 1.033 - 0.107)),
-        limits=np.transpose([low, high]),
-    )
-
-
-def _ur5() -> HingeArm:
-    base, upper, fore, side, drop, tool = 0.089159, 0.425, 0.39225, 0.10915, 0.09465, 0.0823
-    x = (0, 0, upper, upper + fore, upper + fore, upper + fore)
-    points = np.transpose([x, (0, 0, 0, 0, side, side), (*[base] * 5, base - drop)])
-    limits = np.full((6, 2), (-2 * np.pi, 2 * np.pi))
-    limits[2] = -np.pi, np.pi
-    return HingeArm(
-        axes=np.array([_Z, _Y, _Y, _Y, -_Z, _Y]),
-        points=points,
-        home=_pose([-_X, _Z, _Y], points[-1] + tool * _Y),
-        limits=limits,
-    )
-
-
-def _iiwa() -> HingeArm:
-    heights = (0.36, 0.36, 0.78, 0.78, 1.18, 1.18, 1.18)
-    ranges = np.deg2rad((170, 120, 170, 120, 170, 120, 175))
-    return HingeArm(
-        axes=np.array([_Z, _Y, _Z, -_Y, _Z, _Y, _Z]),
-        points=np.outer(heights, _Z),
-        home=_pose([_X, _Y, _Z], 1.261 * _Z),
-        limits=np.stack([-ranges, ranges], axis=1),
-    )
-
-
-def _pose(columns: list[Floats], position: ArrayLike) -> Floats:
-    pose = np.eye(4)
-    pose[:3, :3] = np.transpose(columns)
-    pose[:3, 3] = position
-    return pose
-
-
-_TABLES: dict[str, Callable[[], HingeArm]] = {"panda": _panda, "ur5": _ur5, "iiwa": _iiwa}
