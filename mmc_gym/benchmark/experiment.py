@@ -13,17 +13,16 @@ import functools
 import json
 import math
 import re
-from dataclasses import fields
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 import yaml
 from annotated_types import Ge, Gt, Lt, MinLen
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, StringConstraints, ValidationError
+from pydantic import AfterValidator, ConfigDict, StringConstraints, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
@@ -252,19 +251,10 @@ class Experiment:
         return f"<Experiment {self.name}: {phases}>"
 
     def __str__(self) -> str:
+        changed = TypeAdapter(Experiment).dump_python(self, mode="json", exclude_defaults=True)
+        changed["blocks"] = changed.pop("blocks")  # the last
         style: Any = {"allow_unicode": True, "default_flow_style": None, "width": 100}
-        return yaml.safe_dump(_differences(self), sort_keys=False, **style).rstrip()
-
-
-def _differences(thing: Any) -> Any:
-    """Return what differs from the defaults, as YAML has it."""
-    if isinstance(thing, tuple):
-        return [_differences(one) for one in thing]
-    if not isinstance(thing, Experiment | Block | Probe):
-        return thing
-    named = sorted(fields(cast(Any, thing)), key=lambda one: one.name == "blocks")
-    pairs = ((one, getattr(thing, one.name)) for one in named)
-    return {one.name: _differences(value) for one, value in pairs if value != one.default}
+        return yaml.safe_dump(changed, sort_keys=False, **style).rstrip()
 
 
 EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(
