@@ -1,6 +1,6 @@
 """The command line: one function for each command.
 
-    mmc-gym compare | benchmark | adapt | report | train | curves | play | record | list | show
+    mmc-gym compare | benchmark | adapt | report | train | play | record | list | show
 
 A mistake of the user ends with one line on stderr and status 2, a failed cell of a grid with one
 line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
@@ -397,19 +397,6 @@ def train(
         f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
         f"{card.training_seconds:.0f} s"
     )
-
-
-@_command
-def curves(agents: Names = (), out: Place = Path("runs/curves")) -> None:
-    """Draw learning curves over training seeds; write figure and data, print where they end.
-
-    Args:
-        agents: Trained policies, such as ppo or 'runs/mine-*'; all that ship, if not given.
-        out: Folder for curves.csv and the figure.
-    """
-    from mmc_gym.training.curves import learning_curves
-
-    learning_curves(agents, out)
 
 
 @_command

@@ -159,7 +159,7 @@ PICTURES = [
     # Starts, the joint locks, ends.
     ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
     ("panda.gif", "docs/draw_panda.py panda.gif", "panda.gif", (0, 20, 65)),
-    ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),
+    ("learning-curves.png", "-m studies.learners.trainings --out .", "learning_curves.png", (0,)),
     ("compare.png", COMPARE, "paths_and_profiles.png", (0,)),
 ]
 

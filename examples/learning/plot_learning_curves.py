@@ -13,7 +13,7 @@ from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
 
 # %%
 # These are the policies that ship. ``read_cards("runs/mine-*")`` reads your own, which ``mmc-gym
-# train`` wrote; ``mmc-gym curves --agents 'runs/mine-*'`` draws them.
+# train`` wrote.
 
 cards = read_cards()
 rows = curve_rows(cards)

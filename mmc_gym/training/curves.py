@@ -17,7 +17,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
@@ -26,41 +25,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter, PercentFormatter
 
-from mmc_gym._console import interval, make_console, print_list, print_written
 from mmc_gym._errors import UserError, require
-from mmc_gym._files import check_folder, write_atomically
-from mmc_gym._plotting import LINES, STYLE, save_figure
+from mmc_gym._plotting import LINES, STYLE
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.statistics import success_interval
-
-
-def learning_curves(agents: Agents, out: Path) -> None:
-    """Print where learning curves end; write curves.csv (a row for each evaluation) and a figure.
-
-    The agents are those of `read_cards`.
-    """
-    check_folder(out, "out")
-    curves = curve_rows(read_cards(agents))
-    against_steps, against_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
-    content = curves.to_csv(index=False, lineterminator="\n")
-    written = [write_atomically(out / "curves.csv", content)]
-    figure = draw_learning_curves(against_steps, against_time)
-    written += save_figure(figure, out / "learning_curves")
-    ends = against_steps.groupby("agent", sort=False).tail(1).to_dict("records")
-    rows = [
-        (
-            end["agent"],
-            f"{end['seeds']}",
-            f"{end['steps']:,}",
-            f"{end['success']:.3f} {interval(end['low'], end['high'], 3)}",
-        )
-        for end in ends
-    ]
-    console = make_console()
-    print_list(console, rows, ("agent", "training seeds", "steps", "success at the end"))
-    print_written(console, written)
 
 
 def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:

@@ -1,11 +1,12 @@
-"""Print how many steps and minutes trainings take until their policies reach.
+"""Print how many steps and minutes trainings take until their policies reach; draw learning curves.
 
     python -m studies.learners.trainings                     # the policies that ship
     python -m studies.learners.trainings --agents ppo 'runs/mine-*'    # your own beside it
     python -m studies.learners.trainings --out runs/trainings
 
 The numbers come from the cards of the policies, so that nothing is trained.  With --out they are
-also written: trainings.csv has a row for each training, table.csv the statistics over seeds.
+also written: trainings.csv has a row for each training, table.csv the statistics over seeds,
+curves.csv a row for each evaluation, and learning_curves.png and .svg show these.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from mmc_gym.benchmark.statistics import (
     success_interval,
 )
 from mmc_gym.measures.catalogue import Statistic
-from mmc_gym.training.curves import read_cards
+from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
+from studies.drawing import save_figure
 from studies.tables import table_of
 
 LEVELS = {"95": 0.95, "98": 0.98}
@@ -182,9 +184,10 @@ def main(agents: tuple[str, ...] = (), out: Path | None = None) -> None:
 
     Args:
         agents: Trained policies, see `mmc_gym.agents.resolve` (default: all that ship).
-        out: Folder for the numbers as CSV; none by default.
+        out: Folder for the numbers as CSV, and for the figure; none by default.
     """
-    rows = trainings(read_cards(agents))
+    cards = read_cards(agents)
+    rows = trainings(cards)
     summary = summarize(rows)
     console = Console(width=170)  # eight names side by side
     console.print(table_of(cells(rows, summary)))
@@ -193,6 +196,10 @@ def main(agents: tuple[str, ...] = (), out: Path | None = None) -> None:
         out.mkdir(parents=True, exist_ok=True)
         rows.to_csv(out / "trainings.csv", index=False)
         summary.to_csv(out / "table.csv", index=False)
+        curves = curve_rows(cards)
+        curves.to_csv(out / "curves.csv", index=False)
+        against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
+        save_figure(draw_learning_curves(*against), out / "learning_curves")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import load_policy, save_policy, shipped_file
-from mmc_gym.cli import main
 from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
 from studies.learners import trainings as study
 
@@ -87,21 +86,6 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     assert len({line.get_linestyle() for line in drawn}) == 2  # distinct without colour
 
 
-def test_the_command_draws_the_figure_writes_the_data_and_prints_where_curves_end(tmp_path, capsys):
-    single = training("sac", success=(0.1, 0.2))
-    write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), single)
-    out = tmp_path / "out"
-    patterns = [f"{name}={tmp_path}/in/{name}-*.json" for name in ("ppo", "sac")]
-    main(["curves", "--agents", *patterns, "--out", str(out)])
-    figures = {"learning_curves.png", "learning_curves.svg"}
-    assert {path.name for path in out.iterdir()} == {"curves.csv", *figures}
-    assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
-    _, ppo, sac, *written = capsys.readouterr().out.replace(str(out), "out").splitlines()
-    assert ppo.split() == ["ppo", "3", "5,000", "0.990", *ppo.split()[-2:]]
-    assert sac.split() == ["sac", "1", "2,000", "0.200"]
-    assert "wrote out/curves.csv" in written
-
-
 def table_of(*cards):
     """Return the rows of the study's table by measure."""
     summary = study.summarize(study.trainings({"ppo": cards}))
@@ -123,12 +107,16 @@ def test_steps_and_minutes_to_a_level_are_the_median_over_seeds_and_may_be_later
         assert np.isnan([row["low"], row["high"]]).all()
 
 
-def test_the_study_prints_and_writes_its_table(tmp_path, capsys, monkeypatch):
+def test_the_study_prints_and_writes_its_table_and_draws_the_curves(tmp_path, capsys, monkeypatch):
     few = [training(seed=seed, success=(0.5, 1.0) if seed else (0.5, 0.5)) for seed in range(3)]
     cards = {"ppo": few, "sac": [training(success=(0.5, 0.96), scores={"success": 0.96})]}
     monkeypatch.setattr(study, "read_cards", lambda agents: cards)
     study.main(out=tmp_path)
     assert len(pd.read_csv(tmp_path / "trainings.csv")) == 4
+    assert len(pd.read_csv(tmp_path / "curves.csv")) == 8
+    assert {path.name for path in tmp_path.glob("learning_curves.*")} == {
+        *("learning_curves.png", "learning_curves.svg")
+    }
     table = pd.read_csv(tmp_path / "table.csv").set_index(["agent", "measure"])
     assert table.loc[("sac", "steps_to_95"), "estimate"] == 2.0
     printed = capsys.readouterr().out
