@@ -22,7 +22,6 @@ from rich.progress import track
 
 from mmc_gym.agents.body_model.agent import Parts, ik_body
 from mmc_gym.benchmark.adaptation import (
-    PEOPLE,
     beside_people,
     draw_beside_people,
     learning_figure,
@@ -32,7 +31,7 @@ from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.benchmark.trials import ExperimentResult, run_experiment
 from mmc_gym.measures import MEASURES, SET_MEASURES
-from mmc_gym.measures.catalogue import Quantity, people, span
+from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from studies.body_model.playing import body_model, play
 from studies.drawing import STYLE, save_figure
 from studies.tables import table_of

@@ -23,7 +23,7 @@ from mmc_gym._console import cell, make_console, print_columns
 from mmc_gym._errors import require_choice
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure
 from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
-from mmc_gym.measures.catalogue import Quantity, people, span
+from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from mmc_gym.measures.episode import Floats
 from mmc_gym.measures.learning import (
     TWO_STATES,
@@ -44,7 +44,6 @@ AT_START, AT_END = 4, 10  # trials whose mean is the level at the start or end o
 CYCLE = 4  # trials to a point of the figure
 LEAST = 0.01  # share of the perturbation, and deviation in segment lengths; less is nothing
 METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
-PEOPLE = "people"  # their name in place of an agent's
 MARKERS = "osD^vP"
 
 LengthUnit: TypeAlias = Literal["lengths", "m"]

@@ -450,5 +450,10 @@ def percentile_interval(resampled: Floats) -> tuple[float, float]:
     present = np.sort(resampled[~np.isnan(resampled)])
     if not present.size:
         return math.nan, math.nan
-    low, high = np.interp(TAILS, np.linspace(0, 1, present.size), present).tolist()
+    low, high = np.interp(TAILS, _shares(present.size), present).tolist()
     return low, high
+
+
+@lru_cache(maxsize=32)
+def _shares(count: int) -> Floats:
+    return np.linspace(0, 1, count)

@@ -37,7 +37,7 @@ from mmc_gym.measures.catalogue import value_of
 
 SCHEMA_VERSION: Literal[3] = 3
 MANIFEST = "manifest.json"
-EPISODES, PATHS, SETS = "episodes", "paths", "sets"
+EPISODES, PATHS, SETS, TRIALS = "episodes", "paths", "sets", "trials"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
 _DIGEST = "sha256"  # in the manifest, of all else in it
@@ -208,7 +208,7 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
     Raise a `UserError` that names the file if it is damaged, not ours, or of another cell.
     """
     try:
-        table, kept = read_table(path, columns)
+        table, kept = read_table(path.read_bytes(), columns)
         if (
             len(table)
             and (stem := CellKey(*(table[one][0].as_py() for one in _KEY)).stem) != path.stem
@@ -221,11 +221,9 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
         raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
 
 
-def read_table(
-    source: Path | io.BytesIO, columns: Sequence[str] | None = None
-) -> tuple[pa.Table, Kept]:
+def read_table(content: bytes, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
     """Return a file's table, its settings and facts; raise what Parquet or `_kept_in` raises."""
-    file = pq.ParquetFile(source, page_checksum_verification=True)
+    file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
     kept = _kept_in(file.schema_arrow)
     return file.read(columns, use_threads=False), kept  # one thread is faster for small files
 

@@ -10,7 +10,6 @@ agents can be added.
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -42,7 +41,7 @@ from mmc_gym.benchmark.adaptation import (
     print_learning,
 )
 from mmc_gym.benchmark.experiment import Experiment, find_experiment
-from mmc_gym.benchmark.store import CellKey, Kept, read_table, to_parquet
+from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
@@ -52,9 +51,6 @@ from mmc_gym.measures.rollout import run_trial
 
 RECORDING = 1
 """Version of recordings; when it changes, all cells are played again."""
-
-TRIALS = "trials"
-"""The folder of a store that holds the cells of experiments."""
 
 _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
@@ -318,7 +314,7 @@ def _content(path: Path, cell: TrialsCell) -> bytes | None:
 
 def _read(content: bytes) -> _Cell:
     try:
-        return read_table(io.BytesIO(content))
+        return read_table(content)
     except (OSError, pa.ArrowException, ValueError) as error:
         raise UserError(f"a file of trials is damaged, remove it: {error}") from error
 

@@ -45,6 +45,8 @@ Direction: TypeAlias = Literal["high", "low", "neither"]
 OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
+PEOPLE = "people"  # their name in place of an agent's
+
 # Shown where a unit would stand: how a number without a unit is computed.
 METHODS = ("correlation", "SPARC")
 

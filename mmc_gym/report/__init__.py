@@ -12,27 +12,29 @@ import base64
 import io
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym._files import write_atomically
-from mmc_gym._plotting import STYLE
-from mmc_gym.benchmark.adaptation import LengthUnit
 from mmc_gym.benchmark.statistics import RESAMPLES
-from mmc_gym.benchmark.store import MANIFEST, reasons
-from mmc_gym.benchmark.trials import ExperimentResult, read_experiments
+from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
 from mmc_gym.measures import MEASURES
 from mmc_gym.report import tables
 from mmc_gym.report.replay import replay
 from mmc_gym.report.results import Results, count, listed, read_results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from mmc_gym.benchmark.adaptation import LengthUnit
+    from mmc_gym.benchmark.trials import ExperimentResult
 
 __all__ = ["write_report"]
 
@@ -68,7 +70,11 @@ def write_report(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
-    experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
+    experiments: list[ExperimentResult] = []
+    if (Path(store) / TRIALS).exists():
+        from mmc_gym.benchmark.trials import read_experiments  # takes long, as does matplotlib
+
+        experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
     if experiments and not (Path(store) / MANIFEST).exists():
         known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
         for name in focus:
@@ -159,7 +165,7 @@ def _learning(results: Results) -> dict[str, str] | None:
     against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if min(map(len, against)) == 0:
         return None
-    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+    with _style():
         figure = draw_learning_curves(*against)
     return {
         "source": _picture(figure),
@@ -167,9 +173,17 @@ def _learning(results: Results) -> dict[str, str] | None:
     }
 
 
+def _style() -> AbstractContextManager[None]:
+    from matplotlib import rc_context
+
+    from mmc_gym._plotting import STYLE
+
+    return rc_context({**STYLE, "text.parse_math": False})  # users choose the names of agents
+
+
 def _picture(figure: Figure) -> str:
     """Return a figure as an address that holds its SVG."""
     buffer = io.BytesIO()
-    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+    with _style():
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"

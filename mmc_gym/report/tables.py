@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from mmc_gym._console import interval, number
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.adaptation import PEOPLE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
-from mmc_gym.benchmark.trials import ExperimentResult
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
-from mmc_gym.measures.catalogue import people, span
+from mmc_gym.measures.catalogue import PEOPLE, people, span
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
+
+if TYPE_CHECKING:
+    from mmc_gym.benchmark.trials import ExperimentResult
 
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
