@@ -157,7 +157,7 @@ def _episode_counts(
     counts = policies.T[:, None] * instances.T
     counts = np.concatenate([*counts, np.zeros((1, resamples + 1))])
     # Small numbers, row by row: `_median_of_counts` takes rows.
-    return counts.astype(np.min_scalar_type(math.prod(shape) + 1), order="C")
+    return counts.astype(np.min_scalar_type(math.prod(shape) + 2), order="C")
 
 
 class Estimate(NamedTuple):
@@ -264,7 +264,7 @@ class Bootstrap:
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
         # Environments with the same number of instances share their draw, and so their weights.
-        shared = {draws.shape[1]: draws / draws.shape[1] for draws in self.instances}
+        shared = {draws.shape[1]: draws for draws in self.instances}
         sizes = len(policies.T) * np.array(list(shared))
         first = dict(zip(shared, np.cumsum(sizes) - sizes))
         drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
@@ -275,7 +275,8 @@ class Bootstrap:
         for begin in range(0, len(policies), _BATCH):
             rows = slice(begin, begin + _BATCH)
             of_policies = policies[rows].T[:, None]
-            each = [of_policies * shares[rows].T for shares in shared.values()]
+            shares = [draws[rows].T / count for count, draws in shared.items()]
+            each = [np.multiply(of_policies, one, order="C") for one in shares]
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
             found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
@@ -311,13 +312,14 @@ def _median_of_counts(table: Floats, counts: NDArray[np.unsignedinteger]) -> Flo
     sums = weights.sum(axis=1, dtype=counts.dtype)
     ends = _accumulate(sums.copy())
     whole, resample = ends[-1], np.arange(width)
-    least = np.stack([(whole + 1) >> 1, (whole >> 1) + 1])  # half of the weight, and beyond
-    block = np.minimum((ends[:, None] < least).sum(axis=0), len(ends) - 1)
-    rows = block * size + np.arange(size)[:, None, None]
-    inside = weights.ravel().take(rows * width + resample)
+    half = (whole + np.array([[1], [2]], counts.dtype)) >> 1  # of the weight, and beyond
+    least = np.minimum(half, whole)  # without any weight the first value is taken, and left out
+    block = (ends[:, None] < least).sum(axis=0)
+    first = block * (size * width) + resample
+    inside = weights.ravel().take(first + np.arange(0, size * width, width)[:, None, None])
     inside[0] += (ends - sums)[block, resample]
     place = block * size + (_accumulate(inside) < least).sum(axis=0)
-    middle = values.take(order.take(place, mode="clip"), mode="clip").sum(axis=0) / 2
+    middle = values.take(order.take(place)).sum(axis=0) / 2
     return np.where(whole > 0, middle, np.nan)
 
 

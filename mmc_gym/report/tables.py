@@ -294,7 +294,8 @@ def _present(scores: Scores) -> dict[str, float]:
     anyone = np.any([table.any(axis=0) for table in known.values()], axis=0)
     if not anyone.any():
         return dict.fromkeys(known, 0.0)
-    return {agent: float(table[:, anyone].mean()) for agent, table in known.items()}
+    count = np.count_nonzero
+    return {agent: count(one & anyone) / (len(one) * count(anyone)) for agent, one in known.items()}
 
 
 def _notes(*notes: str) -> tuple[str, ...]:
