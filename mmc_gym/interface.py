@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import cos, sin, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -266,6 +266,12 @@ class Sensed:
     joint_angles: Floats  #: radians, (..., N)
     target: Floats  #: segment lengths, (..., 2)
 
+    def in_rows(self) -> Self:
+        """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
+        rows = math.prod(self.joint_angles.shape[:-1])
+        flat = {key: one.reshape(rows, one.shape[-1]) for key, one in vars(self).items()}
+        return type(self)(**flat)
+
 
 @dataclass(frozen=True)
 class Seen(Sensed):
@@ -273,11 +279,6 @@ class Seen(Sensed):
 
     joint_speeds: Floats  #: rad/s, (..., N)
     hand: Floats  #: seen position of the hand or its cursor, segment lengths, (..., 2)
-
-    def in_rows(self) -> Seen:
-        """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
-        rows = math.prod(self.joint_angles.shape[:-1])
-        return Seen(**{key: one.reshape(rows, one.shape[-1]) for key, one in vars(self).items()})
 
 
 @dataclass(frozen=True)

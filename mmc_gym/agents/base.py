@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import fields
+from functools import partial
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar, cast
 
@@ -148,6 +149,8 @@ class InternalModelAgent(Agent[State]):
 
     #: whether it moves an arm in space (`ReachInterface.arm`); others a planar one
     is_in_space: ClassVar[bool] = False
+    #: whether `respond` gets all that observations show (`Seen`), with a row for each arm
+    sees_all: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:
         """Make an agent for an environment; raise a `CannotActError` if it cannot act in it."""
@@ -170,10 +173,29 @@ class InternalModelAgent(Agent[State]):
     def start(self, sensed: Sensed) -> State:
         """Return the state of internal models in the sensed postures."""
 
-    def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
-        """Return the given state, with new arms and begun episodes from `start`."""
+    @abstractmethod
+    def respond(self, state: State, sensed: Any) -> tuple[NDArray[np.float32], State]:
+        """Return the action, and the state after one control step."""
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: State | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], State | None]:
+        look = self.interface.see if self.sees_all else self.interface.sense
+        sensed = look(observation)
         batch = sensed.joint_angles.shape[:-1]
-        return resumed(state, lambda: self.start(sensed), batch, episode_start, self._layouts)
+        if self.sees_all:
+            sensed = sensed.in_rows()
+        rows, start = sensed.joint_angles.shape[:-1], partial(self.start, sensed)
+        state = resumed(state, start, rows, episode_start, self._layouts)
+        action, state = self.respond(state, sensed)
+        if self.sees_all:
+            action = action.reshape(*batch, action.shape[-1])
+        return action, state
 
 
 class JointTargetAgent(InternalModelAgent[State]):
@@ -184,15 +206,7 @@ class JointTargetAgent(InternalModelAgent[State]):
         """Return joint targets (..., N) in radians, and the state after one control step."""
 
     @override
-    def predict(
-        self,
-        observation: Observation,
-        state: State | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], State | None]:
-        sensed = self.interface.sense(observation)
-        state = self.resumed(state, sensed, episode_start)
+    def respond(self, state: State, sensed: Sensed) -> tuple[NDArray[np.float32], State]:
         joint_targets, state = self.advance(state, sensed)
         return self.interface.act(joint_targets, sensed), state
 

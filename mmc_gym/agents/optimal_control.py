@@ -50,9 +50,9 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import require, require_not_negative, require_positive
-from mmc_gym.agents.base import InternalModelAgent, Started
+from mmc_gym.agents.base import InternalModelAgent
 from mmc_gym.agents.inverse_kinematics import hand_position, jacobian, leave_line
-from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed, turned_back
+from mmc_gym.interface import ReachInterface, Seen, Sensed, turned_back
 from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 
@@ -215,6 +215,8 @@ class Belief(NamedTuple):
 class OptimalControlAgent(InternalModelAgent[Belief]):
     """Optimal feedback control of the given arm, by joint velocities."""
 
+    sees_all = True
+
     def __init__(self, interface: ReachInterface, assumed: Assumptions = DEFAULT) -> None:
         """Make an agent of these assumptions."""
         super().__init__(interface)
@@ -234,15 +236,7 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         )
 
     @override
-    def predict(
-        self,
-        observation: Observation,
-        state: Belief | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], Belief | None]:
-        seen = self.interface.see(observation)
-        state = self.resumed(state, seen, episode_start)
+    def respond(self, state: Belief, seen: Seen) -> tuple[NDArray[np.float32], Belief]:
         state = self._driven(self._perceived(state, seen))
         # A position servo turns a joint at this velocity if its target is this far ahead.
         ahead = state.velocity / self.interface.servo_gain

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import require, require_number, require_numbers, spelt
-from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
+from mmc_gym.agents.base import InternalModelAgent, every, some, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
@@ -45,7 +45,7 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
-from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
+from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats
 
@@ -121,6 +121,8 @@ class BodyState(NamedTuple):
 class BodyAgent(InternalModelAgent[BodyState]):
     """An agent with an internal model of its body."""
 
+    sees_all = True
+
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
         """Make the agent; `solver` is its internal model.  It cannot act under torque control."""
         super().__init__(interface)
@@ -159,17 +161,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=kept)
 
     @override
-    def predict(
-        self,
-        observation: Observation,
-        state: BodyState | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], BodyState]:
-        seen = self.interface.see(observation)
-        batch = seen.joint_angles.shape[:-1]
-        seen = seen.in_rows()
-        state = self.resumed(state, seen, episode_start)
+    def respond(self, state: BodyState, seen: Seen) -> tuple[NDArray[np.float32], BodyState]:
         if self.learns:
             state = self._remembered(state, seen)
         state = self._sense(state, seen)
@@ -178,8 +170,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         joint_targets, state = self._drive(state, problem, plan)
         # Late or noisy joint angles are corrected, speeds are as seen.
         now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
-        action = self.interface.act(joint_targets, now)
-        return action.reshape(*batch, action.shape[-1]), state
+        return self.interface.act(joint_targets, now), state
 
     def _remembered(self, state: BodyState, seen: Seen) -> BodyState:
         """Let movements begin with what was learned in those before."""

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import InternalModelAgent, Started
+from mmc_gym.agents.base import InternalModelAgent
 from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
-from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.network import HingeArm, HingeNetwork
 from mmc_gym.network.chain import Floats
 
@@ -66,7 +66,7 @@ class SpatialState(NamedTuple):
 class SpatialBodyAgent(InternalModelAgent[SpatialState]):
     """A body agent for an arm in space, see `ReachInterface.arm`."""
 
-    is_in_space = True
+    is_in_space = sees_all = True
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts) -> None:
         """Make the agent; `parts` switch links, locks and imagination off.
@@ -89,23 +89,13 @@ class SpatialBodyAgent(InternalModelAgent[SpatialState]):
         return SpatialState(angles, angles, still, looks, sums, shares, offset)
 
     @override
-    def predict(
-        self,
-        observation: Observation,
-        state: SpatialState | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], SpatialState]:
-        seen = self.interface.see(observation)
-        batch = seen.joint_angles.shape[:-1]
-        seen = seen.in_rows()
-        state = self._felt(self.resumed(state, seen, episode_start), seen.joint_angles)
+    def respond(self, state: SpatialState, seen: Seen) -> tuple[NDArray[np.float32], SpatialState]:
+        state = self._felt(state, seen.joint_angles)
         if self.parts.identifies_body:
             state = self._identified(state, seen.hand)
         goals = [self._imagined(state, target, arm) for arm, target in enumerate(seen.target)]
         state = state._replace(goal=np.reshape(goals, seen.joint_angles.shape))
-        action = self.interface.act(state.goal, seen)
-        return action.reshape(*batch, action.shape[-1]), state
+        return self.interface.act(state.goal, seen), state
 
     def _felt(self, state: SpatialState, joint_angles: Floats) -> SpatialState:
         """Return the state after postures were seen, (m, n)."""
