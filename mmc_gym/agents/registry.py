@@ -168,6 +168,7 @@ AGENTS: dict[str, AgentEntry] = {
         3,
         control="joint_position",
         view="target",
+        command="python -m studies.learners.ppo_position",
     ),
     **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
     **_trained(

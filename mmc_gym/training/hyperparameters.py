@@ -38,7 +38,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from mmc_gym._errors import UserError, explain, require, require_whole, shown, unknown
 from mmc_gym._files import read_yaml
 from mmc_gym.agents.policy import Algorithm
-from mmc_gym.training.policies import ACTIVATIONS, POLICIES
+from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
 from mmc_gym.training.vec_env import Residual
 
 ALGORITHMS: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
@@ -66,8 +66,7 @@ class Recipe:
 
     #: policies, wrappers and replay buffers that the entry may name; a module of yours may add some
     classes: ClassVar[dict[str, type]] = {
-        **POLICIES,
-        f"{Residual.__module__}.{Residual.__name__}": Residual,
+        **{f"{kind.__module__}.{kind.__name__}": kind for kind in (TQCGoalPolicy, Residual)},
         "HerReplayBuffer": HerReplayBuffer,
     }
 

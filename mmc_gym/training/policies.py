@@ -1,7 +1,7 @@
 """Policies of stable-baselines3 and sb3-contrib; their networks and checkpoints as plain arrays.
 
-Most recipes use stable-baselines3's "MlpPolicy".  Policies with one of our views have full names in
-YAML files, so that rl_zoo3 finds them too.
+Most recipes use stable-baselines3's "MlpPolicy".  `TQCGoalPolicy` has its full name in YAML files,
+so that rl_zoo3 finds it too.
 
 A checkpoint is the state of a model as safetensors, from which a training resumes: weights and
 optimizers, the entropy coefficient if it is learned, the step counts, the filled part of the
@@ -27,8 +27,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
-from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
-from typing_extensions import override
+from stable_baselines3.common.type_aliases import Schedule
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
@@ -40,7 +39,6 @@ from mmc_gym.agents.policy_network import (
     View,
     feature_count,
     features,
-    turned_actions,
 )
 from mmc_gym.interface import ObservationLayout
 
@@ -63,10 +61,8 @@ class ViewLayer(BaseFeaturesExtractor):
         return features(torch, self.view, observations, self.layout)
 
 
-class _HasView(BasePolicy):
-    """A policy whose first layer is preceded by the features of `view`."""
-
-    view: View = "arm"
+class TQCGoalPolicy(TQCPolicy):
+    """`TQCPolicy` that sees a goal environment's observations in the form of `MMCReach-v0`."""
 
     def __init__(
         self,
@@ -76,49 +72,9 @@ class _HasView(BasePolicy):
         **options: Any,
     ) -> None:
         """Make a policy with the options of its base class."""
-        seen = {"view": self.view, "joint_count": action_space.shape[0]}
+        seen = {"view": "arm", "joint_count": action_space.shape[0]}
         options |= {"features_extractor_class": ViewLayer, "features_extractor_kwargs": seen}
         super().__init__(observation_space, action_space, lr_schedule, **options)
-
-
-class PPOTargetPolicy(_HasView, ActorCriticPolicy):
-    """`ActorCriticPolicy` with the target's view, for joint positions.
-
-    Its distribution is over actions in this view.  They leave the policy turned into the world's
-    frame, and are turned back to compute their probability.
-    """
-
-    view = "target"
-
-    @override
-    def forward(
-        self, obs: torch.Tensor, deterministic: bool = False
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        actions, values, log_probabilities = super().forward(obs, deterministic)
-        return self._turned(actions, obs), values, log_probabilities
-
-    @override
-    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> Any:
-        return self._turned(super()._predict(observation, deterministic), observation)
-
-    @override
-    def evaluate_actions(
-        self, obs: PyTorchObs, actions: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        return super().evaluate_actions(obs, self._turned(actions, obs, back=True))
-
-    def _turned(self, actions: torch.Tensor, observation: PyTorchObs, back: bool = False) -> Any:
-        layer: Any = self.features_extractor
-        return turned_actions(torch, actions, observation, layer.layout, back=back)
-
-
-class TQCGoalPolicy(_HasView, TQCPolicy):
-    """`TQCPolicy` that sees a goal environment's observations in the form of `MMCReach-v0`."""
-
-
-POLICIES: dict[str, type[BasePolicy]] = {
-    f"{policy.__module__}.{policy.__name__}": policy for policy in (PPOTargetPolicy, TQCGoalPolicy)
-}
 
 
 def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:

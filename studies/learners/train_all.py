@@ -23,6 +23,9 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PolicyCard, file_stem, load_policy
 from mmc_gym.training import hyperparameters
 from mmc_gym.training.training import Training
+from studies.learners import ppo_position
+
+POSITION = ppo_position.HYPERPARAMETERS.stem
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class Arguments:
 
 def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
     """Train or resume one policy, unless it is there, and return its card."""
-    recipe = hyperparameters.read_recipe(name, steps=arguments.steps)
+    source = str(ppo_position.HYPERPARAMETERS) if name == POSITION else name
+    recipe = hyperparameters.read_recipe(source, steps=arguments.steps)
     stem = file_stem(name, seed)
     with suppress(FileNotFoundError, UserError):  # missing or damaged
         _, card = load_policy(arguments.out / f"{stem}.json")
@@ -59,7 +63,8 @@ def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
 
 def main(arguments: Arguments) -> None:
     """Train the policies, and print a line for each that is ready."""
-    names = arguments.names or tuple(name for name in hyperparameters.names() if name in AGENTS)
+    shipped = [*(name for name in hyperparameters.names() if name in AGENTS), POSITION]
+    names = arguments.names or shipped
     policies = [
         (name, seed)
         for name in names

@@ -10,7 +10,8 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from mmc_gym.agents.policy_network import History, PolicyNetwork, features, turned_actions
 from mmc_gym.interface import ObservationLayout
-from mmc_gym.training.policies import ACTIVATIONS, POLICIES, export_policy
+from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy, export_policy
+from studies.learners.ppo_position import PPOTargetPolicy
 
 ENV_IDS = {
     "ActorCriticPolicy": "MMCReach-v0",  # PPO's "MlpPolicy", as are SACPolicy and TQCPolicy theirs
@@ -19,9 +20,8 @@ ENV_IDS = {
     "TQCPolicy": "MMCReach-v0",
     "TQCGoalPolicy": "MMCReachGoal-v0",
 }
-KINDS = {kind.__name__: kind for kind in (ActorCriticPolicy, SACPolicy, TQCPolicy)} | {
-    name.rpartition(".")[2]: kind for name, kind in POLICIES.items()
-}
+POLICIES = (ActorCriticPolicy, PPOTargetPolicy, SACPolicy, TQCPolicy, TQCGoalPolicy)
+KINDS = {kind.__name__: kind for kind in POLICIES}
 
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
 
