@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -243,13 +243,19 @@ class Bootstrap:
             tables = [self.scores.values[agent] for agent in agents]
             yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
 
+    @cached_property
+    def _shares(self) -> dict[int, Floats]:
+        """Each draw of instances over their number, by which environments share it."""
+        drawn = {draws.shape[1]: draws for draws in self.instances}
+        return {count: draws / count for count, draws in drawn.items()}
+
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
         tables, policies = self.scores.values[agent], self.policies[agent]
         if statistic == "mean":
             total, weight = np.zeros((2, len(policies)))
             for draws, scores in self._sharing(agent):
-                known, shares = ~np.isnan(scores), draws / draws.shape[1]
+                known, shares = ~np.isnan(scores), self._shares[draws.shape[1]]
                 values = np.where(known, scores, 0.0).sum(axis=0)
                 total += _weighted_sums(shares, policies, values)[:, 0]
                 weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
@@ -263,10 +269,8 @@ class Bootstrap:
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
-        # Environments with the same number of instances share their draw, and so their weights.
-        shared = {draws.shape[1]: draws for draws in self.instances}
-        sizes = len(policies.T) * np.array(list(shared))
-        first = dict(zip(shared, np.cumsum(sizes) - sizes))
+        sizes = len(policies.T) * np.array(list(self._shares))
+        first = dict(zip(self._shares, np.cumsum(sizes) - sizes))
         drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
         times = coo_array(
             (np.ones(len(place)), (place, drawn)), shape=(len(distinct), sizes.sum())
@@ -275,7 +279,7 @@ class Bootstrap:
         for begin in range(0, len(policies), _BATCH):
             rows = slice(begin, begin + _BATCH)
             of_policies = policies[rows].T[:, None]
-            shares = [draws[rows].T / count for count, draws in shared.items()]
+            shares = [one[rows].T for one in self._shares.values()]
             each = [np.multiply(of_policies, one, order="C") for one in shares]
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
             found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))

@@ -233,11 +233,17 @@ def score_table(results: Results, environment: str) -> Table:
     """Return all measures of all agents in a scenario."""
     episodes = results.by_scenario[environment]
     scores = arrange(episodes, [one.name for one in results.measures])
-    columns = [
-        _column(results, Bootstrap(scores[measure.name], results.resamples), measure)
+    bootstraps = {name: Bootstrap(one, results.resamples) for name, one in scores.items()}
+    played = [str(agent) for agent in episodes["agent"].unique()]
+    found = {  # one agent after the other, as its draws are large and the same for all measures
+        (agent, measure.name): bootstraps[measure.name].estimate(agent, measure.statistic)
+        for agent in played
         for measure in results.measures
+    }
+    columns = [
+        _column(results, scores[one.name], one, {agent: found[agent, one.name] for agent in played})
+        for one in results.measures
     ]
-    played = set(episodes["agent"])
     return Table(
         f"Measures in {environment}",
         "scores",
@@ -253,15 +259,15 @@ def score_table(results: Results, environment: str) -> Table:
     )
 
 
-def _column(results: Results, bootstrap: Bootstrap, measure: Measure) -> dict[str, TableCell]:
+def _column(
+    results: Results, scores: Scores, measure: Measure, found: Mapping[str, Estimate]
+) -> dict[str, TableCell]:
     """Return the cell of each agent that has played a scenario, by name.
 
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
     ever arrives could win with a few short movements.
     """
-    agents = bootstrap.scores.values
-    found = {agent: bootstrap.estimate(agent, measure.statistic) for agent in agents}
-    present = _present(bootstrap.scores)
+    present = _present(scores)
     values = {agent: measure.number(one.estimate) for agent, one in found.items()}
     racing = [
         agent
