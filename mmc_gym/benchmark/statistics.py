@@ -279,8 +279,8 @@ class Bootstrap:
         for begin in range(0, len(policies), _BATCH):
             rows = slice(begin, begin + _BATCH)
             of_policies = policies[rows].T[:, None]
-            shares = [one[rows].T for one in self._shares.values()]
-            each = [np.multiply(of_policies, one, order="C") for one in shares]
+            of_instances = [shares[rows].T for shares in self._shares.values()]
+            each = [np.multiply(of_policies, one, order="C") for one in of_instances]
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
             found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
