@@ -305,8 +305,8 @@ def learning_figure(
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
-    Crosses: catch trials.  Probes in other directions and jumps are left out.  Measures in `table`
-    that people have a figure of follow below, see `draw_beside_people`.
+    Probes in other directions and jumps are left out.  Measures in `table` that people have a
+    figure of follow below, see `draw_beside_people`.
     """
     table = pd.DataFrame({"agent": [], "measure": []}) if table is None else table
     compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
@@ -336,6 +336,8 @@ def learning_figure(
         full = np.where(learning.kinds == "", learning.perturbations, np.nan)
         line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
         below.step(np.arange(len(full)), full, "0.6", **line)
+        if "catch" in learning.kinds:
+            below.plot([], [], "x", color="0.4", ms=4, label="catch trials")
         unit = "share of the deviation" if learning.unit == "fraction" else learning.unit
         below.set(xlabel="trial", ylabel=f"adaptation [{unit}]")
         shown = below.get_legend_handles_labels()
@@ -344,21 +346,16 @@ def learning_figure(
 
 
 def draw_beside_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:
-    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band.
-
-    An agent with more than ten times people's value is a triangle at the right edge.
-    """
+    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band."""
     agents = [agent for agent in table["agent"].unique() if agent != PEOPLE]
     found = {row["agent"]: row for row in table[table["measure"] == measure].to_dict("records")}
     row = found[PEOPLE]
     low, high = row["low"], row["high"]
-    most = 10 * np.nanmax([low, high]) or math.inf
     for place, agent in enumerate(agents):
         one = found.get(agent, {"estimate": math.nan, "low": math.nan, "high": math.nan})
         colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-        marker = ">" if one["estimate"] > most else marker
-        axes.plot(min(one["estimate"], most), -place, marker, color=colour, markersize=5)
-        axes.plot(np.minimum([one["low"], one["high"]], most), [-place, -place], color=colour)
+        axes.plot(one["estimate"], -place, marker, color=colour, markersize=5)
+        axes.plot([one["low"], one["high"]], [-place, -place], color=colour)
     left, right = min(0.0, axes.get_xlim()[0]), 1.1 * np.nanmax([axes.get_xlim()[1], low, high])
     if low == high:
         axes.axvline(low, color="0.6", linewidth=4, zorder=0)
