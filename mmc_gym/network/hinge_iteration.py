@@ -38,7 +38,7 @@ class Plan(NamedTuple):
     weight: float  #: 2 s² where the hand's rotation is held, otherwise 0
     share: float  #: 1/d
     decay: float  #: factor on the velocity
-    times: int  #: iterations at most
+    times: int = 0  #: iterations at most
     far: float = 0.0  #: tolerance of held nodes, m; 0 where iterations shall not stop
     turn: float = 0.0  #: tolerance of the hand's rotation, radians
     alone: int = 0  #: iterations in which a block stops only when its first posture has settled

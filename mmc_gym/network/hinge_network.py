@@ -39,7 +39,7 @@ For ball joints that works in space too: `MMCNetwork(dimensions=3)`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from typing import Any
@@ -84,18 +84,8 @@ class HingeState:
 class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    rotation: Floats | None = None  #: of the hand, (..., 3, 3), or None
-    held: Mapping[int, Floats] = field(default_factory=dict)  #: angles by joint, (...)
-    #: positions of nodes by node, the hand's too, (..., 3)
-    points: Mapping[int, Floats] = field(default_factory=dict)
-
-    @cached_property
-    def batch_shape(self) -> tuple[int, ...]:
-        """The batch axes of all values together."""
-        shapes = [one.shape for one in self.held.values()]
-        shapes += [one.shape[:-1] for one in self.points.values()]
-        shapes += [] if self.rotation is None else [self.rotation.shape[:-2]]
-        return _together("clamps", shapes)
+    tasks: NDArray[Any]  #: the limits and places, an array (...) of `hinge_iteration.task_type`
+    plan: Plan  #: which parts are held
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,21 +156,36 @@ class HingeNetwork:
                 all of them for the forward task.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
         """
-        held, points = held or {}, points or {}
+        arm, held, points = self.arm, held or {}, points or {}
         for joint in held:
-            if joint not in range(self.arm.joint_count):
-                raise unknown("joint", joint, range(self.arm.joint_count))
+            if joint not in range(arm.joint_count):
+                raise unknown("joint", joint, range(arm.joint_count))
         for node in points:
-            if node not in range(1, self.arm.node_count):
-                raise unknown("node", node, range(1, self.arm.node_count))
+            if node not in range(1, arm.node_count):
+                raise unknown("node", node, range(1, arm.node_count))
+        angles = {joint: _floats("held", angle, ()) for joint, angle in held.items()}
         places = {node: _floats("points", point, (3,)) for node, point in points.items()}
         if position is not None:
-            places[self.arm.node_count - 1] = _floats("position", position, (3,))
-        return HingeClamps(
-            None if rotation is None else _floats("rotation", rotation, (3, 3)),
-            {joint: _floats("held", angle, ()) for joint, angle in held.items()},
-            places,
-        )
+            places[arm.node_count - 1] = _floats("position", position, (3,))
+        shapes = [one.shape for one in angles.values()]
+        shapes += [one.shape[:-1] for one in places.values()]
+        weight, turn = 0.0, np.zeros((3, 3))
+        if rotation is not None:  # as a turn of the whole arm
+            turn = _floats("rotation", rotation, (3, 3)) @ arm.home[:3, :3].T
+            weight = 2 * self.hand_size**2
+            shapes.append(turn.shape[:-2])
+        tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
+        tasks["low"], tasks["high"] = arm.limits.T
+        tasks["wanted"] = turn
+        for joint, angle in angles.items():
+            tasks["low"][..., joint] = tasks["high"][..., joint] = angle
+        for node, place in places.items():
+            tasks["place"][..., node, :] = place
+        is_placed = np.isin(np.arange(arm.node_count), list(places))
+        share = 3 / max(1, arm.joint_count - len(held))
+        if self.damping is not None:
+            share = 1 / self.damping
+        return HingeClamps(tasks, Plan(is_placed, weight, share, float(self.velocity_decay)))
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -188,14 +193,14 @@ class HingeNetwork:
         Batch axes of state and clamps are broadcast against each other.
         """
         require_whole("iterations", iterations, least=0)
-        batch = _together("state", [state.joint_angles.shape[:-1], clamps.batch_shape])
-        tasks, n = self._tasks(clamps, batch), self.arm.joint_count
+        batch = _together("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
+        tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
         lanes = np.resize(np.arange(len(tasks)), (-(-len(tasks) // LANES), LANES))
         blocks = self._blocks(tasks[lanes])
         for name, values in (("angle", state.joint_angles), ("speed", state.joint_velocities)):
             rows = np.broadcast_to(values, (*batch, n)).reshape(-1, n)
             blocks[name] = np.swapaxes(rows[lanes], 1, 2)
-        self._relax(blocks, self._plan(clamps, iterations))
+        self._relax(blocks, clamps.plan._replace(times=iterations))
         angles, speeds = (
             np.swapaxes(blocks[name], 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
             for name in ("angle", "speed")
@@ -237,13 +242,15 @@ class HingeNetwork:
         require_whole("starts", starts)
         require_whole("iterations", iterations)
         far, turn = near = tuple(require_positive("tolerance", each) for each in tolerance)
-        batch, first = clamps.batch_shape, None
+        batch, first = clamps.tasks.shape, None
         if start is not None:
             first = self.state(start).joint_angles
             batch = _together("start", [batch, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
-        tasks, pool = self._tasks(clamps, batch), _pool(self.arm, max(starts, POOL), seed)
-        plan = self._plan(clamps, iterations)._replace(
+        tasks = np.broadcast_to(clamps.tasks, batch).reshape(-1)
+        pool = _pool(self.arm, max(starts, POOL), seed)
+        plan = clamps.plan._replace(
+            times=iterations,
             far=max(far, LOOSE[0]),
             turn=max(turn, LOOSE[1]),
             newton=NEWTON,
@@ -315,18 +322,6 @@ class HingeNetwork:
         self._relax(many, plan._replace(times=0, newton=0))
         return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
 
-    def _tasks(self, clamps: HingeClamps, batch: tuple[int, ...]) -> NDArray[Any]:
-        """Return the task of each arm of a batch, as an array of `hinge_iteration.task_type`."""
-        tasks = np.zeros(batch, task_type(self.arm.joint_count, self.arm.node_count))
-        tasks["low"], tasks["high"] = self.arm.limits.T
-        for joint, angle in clamps.held.items():
-            tasks["low"][..., joint] = tasks["high"][..., joint] = angle
-        for node, point in clamps.points.items():
-            tasks["place"][..., node, :] = point
-        if clamps.rotation is not None:  # as a turn of the whole arm
-            tasks["wanted"] = clamps.rotation @ self.arm.home[:3, :3].T
-        return tasks.reshape(-1)
-
     def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
         """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
         blocks = np.zeros(len(tasks), block_type(self.arm.joint_count, self.arm.node_count))
@@ -334,14 +329,6 @@ class HingeNetwork:
             each = tasks[name]
             blocks[name] = np.moveaxis(each, 1, -1) if tasks.ndim == 2 else each[..., None]
         return blocks
-
-    def _plan(self, clamps: HingeClamps, times: int) -> Plan:
-        is_placed = np.zeros(self.arm.node_count, np.bool_)
-        is_placed[list(clamps.points)] = True
-        weight = 0.0 if clamps.rotation is None else 2 * self.hand_size**2
-        free = max(1, self.arm.joint_count - len(clamps.held))
-        share = 3 / free if self.damping is None else 1 / self.damping
-        return Plan(is_placed, weight, share, float(self.velocity_decay), times)
 
     @cached_property
     def _near(self) -> float:
