@@ -181,7 +181,8 @@ class HingeNetwork:
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
             tasks["place"][..., node, :] = place
-        is_placed = np.isin(np.arange(arm.node_count), list(places))
+        is_placed = np.zeros(arm.node_count, np.bool_)
+        is_placed[list(places)] = True
         share = 3 / max(1, arm.joint_count - len(held))
         if self.damping is not None:
             share = 1 / self.damping
@@ -242,12 +243,13 @@ class HingeNetwork:
         require_whole("starts", starts)
         require_whole("iterations", iterations)
         far, turn = near = tuple(require_positive("tolerance", each) for each in tolerance)
-        batch, first = clamps.tasks.shape, None
+        tasks, first = clamps.tasks, None
         if start is not None:
             first = self.state(start).joint_angles
-            batch = _together("start", [batch, first.shape[:-1]])
+            batch = _together("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
-        tasks = np.broadcast_to(clamps.tasks, batch).reshape(-1)
+            tasks = np.broadcast_to(tasks, batch)
+        batch, tasks = tasks.shape, tasks.reshape(-1)
         pool = _pool(self.arm, max(starts, POOL), seed)
         plan = clamps.plan._replace(
             times=iterations,
