@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mmc_gym.network import MMCNetwork
-from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
+from mmc_gym.network.time_base import minimum_jerk, share, timed_step
 
 ITERATIONS = 40
 target = [-1.0, 1.5]
@@ -27,8 +27,12 @@ for name, network in {"kinematic": kinematic, "dynamic (paper)": dynamic}.items(
 # %%
 # In each iteration the time base demands the share of the way that a minimum-jerk movement covers.
 
-start = kinematic.state_from_joint_angles(posture)
-_, ways["kinematic on a time base"] = timed_trajectory(kinematic, start, target, ITERATIONS)
+state = start = kinematic.state_from_joint_angles(posture)
+postures = []
+for part in share(np.arange(1, ITERATIONS + 1), ITERATIONS):
+    state = timed_step(kinematic, state, target, part)
+    postures.append(state.segments)
+ways["kinematic on a time base"] = np.stack(postures)
 
 # %%
 # For comparison, the speed of an ideal hand without an arm.

@@ -44,7 +44,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import require, require_array, require_positive
+from mmc_gym._errors import require, require_array
 from mmc_gym.network.chain import Floats, triangle_products
 from mmc_gym.network.model import MMCNetwork, MMCState, require_plane
 
@@ -85,6 +85,13 @@ def timed_step(
 
     The network is kinematic and synchronous.  Targets of the end effector are (..., 2), and shares
     σ, between 0 and 1, for all arms or each, (...).
+
+    >>> network = MMCNetwork()
+    >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    >>> for iteration in range(1, 51):
+    ...     state = timed_step(network, state, [-1.0, 1.5], share(iteration, duration=50))
+    >>> state.end_effector.round(2).tolist()
+    [-0.98, 1.5]
     """
     _check(network)
     state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
@@ -113,32 +120,6 @@ def timed_step(
     following = values + gain * change
     following[:count] = segments_with(gain)
     return MMCState(following.reshape(state.values.shape), count)
-
-
-def timed_trajectory(
-    network: MMCNetwork, state: MMCState, target: ArrayLike, duration: float
-) -> tuple[MMCState, Floats]:
-    """Move to a target, and record the segments after every iteration.
-
-    The network is kinematic and synchronous, the target of the end effector (..., 2), and the
-    duration T in iterations.  Returns the last state, and the segments of all iterations,
-    (round(T), ..., N, 2).
-
-    >>> network = MMCNetwork()
-    >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
-    >>> end, postures = timed_trajectory(network, start, [-1.0, 1.5], duration=50)
-    >>> speed = np.linalg.norm(np.diff(postures.sum(axis=-2), axis=0), axis=-1)
-    >>> end.end_effector.round(2).tolist(), int(speed.argmax())
-    ([-0.98, 1.5], 24)
-    """
-    _check(network)
-    iterations = round(require_positive("duration", duration))
-    state = network.run(state, network.inverse(target), iterations=0)
-    postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
-    for number, part in enumerate(share(np.arange(1, iterations + 1), duration)):
-        state = timed_step(network, state, target, part)
-        postures[number] = state.segments
-    return state, postures
 
 
 def _solve(

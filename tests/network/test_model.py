@@ -10,7 +10,7 @@ from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, 
 from mmc_gym.network.differentiable import TorchNetwork
 from mmc_gym.network.iteration import linear_operator
 from mmc_gym.network.model import NO_CLAMPS
-from mmc_gym.network.time_base import timed_trajectory
+from mmc_gym.network.time_base import timed_step
 
 counts = st.integers(2, 8)
 
@@ -351,7 +351,7 @@ def test_what_needs_a_plane_refuses_space():
         lambda: space.inverse([1.0, 1.0]),
         lambda: plane.run(space.state_from_segments(np.eye(3))),
         lambda: TorchNetwork(space),
-        lambda: timed_trajectory(space, space.state_from_segments(np.eye(3)), [1, 1, 1], 10),
+        lambda: timed_step(space, space.state_from_segments(np.eye(3)), [1, 1, 1], 0.1),
     ):
         with pytest.raises(ValueError, match="must be"):
             call()

@@ -25,9 +25,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import MMCNetwork
+from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
+from mmc_gym.network.time_base import minimum_jerk, share, timed_step
 from studies.network.fitting import angle_errors
 from studies.paper.experiment import (
     Captioned,
@@ -220,6 +220,22 @@ MINIMUM_JERK = "minimum jerk"
 TIME_BASE = "time base (Euclidean)"
 CLASSICAL = "kinematic (Euclidean)"
 DYNAMIC = "dynamic (paper's recipe [16, 16]), decay 0.92"
+
+
+def timed_trajectory(
+    network: MMCNetwork, state: MMCState, target: Floats, duration: int
+) -> tuple[MMCState, Floats]:
+    """Move to a target on a time base of so many iterations.
+
+    Returns:
+        The last state, and the segments after every iteration, (iterations, ..., N, 2).
+    """
+    postures = []
+    for part in share(np.arange(1, duration + 1), duration):
+        state = timed_step(network, state, target, part)
+        postures.append(state.segments)
+    return state, np.stack(postures)
+
 
 record_timed_movements = partial(record_movements, move=timed_trajectory)
 """Run the 420 movements, with their warm movements, on a time base as long as the recording."""
