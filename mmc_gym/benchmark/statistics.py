@@ -33,7 +33,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -52,6 +52,7 @@ RESAMPLES = 2_000  # by default
 COLUMNS = ["agent", "training_seed", "environment", "instance"]
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH, _COLUMNS = 250, 1_000  # resamples, or columns, at once: bound the memory
+_linspace = lru_cache(maxsize=32)(np.linspace)  # of each number of resamples
 
 PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
 """Mean or interquartile mean of all episodes of an agent; or their median in one environment."""
@@ -189,6 +190,8 @@ class Bootstrap:
         self.instances = tuple(
             _counts((seed, _INSTANCES, count), count, resamples) for count in scores.instances
         )
+        self._drawn = {draws.shape[1]: draws for draws in self.instances}
+        self._shares = {count: draws / count for count, draws in self._drawn.items()}
 
     @classmethod
     def of(
@@ -239,15 +242,9 @@ class Bootstrap:
 
         Shapes are (R + 1, instances), and (environments, policies, instances) for each agent.
         """
-        for count, draws in {draws.shape[1]: draws for draws in self.instances}.items():
+        for count, draws in self._drawn.items():
             tables = [self.scores.values[agent] for agent in agents]
             yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
-
-    @cached_property
-    def _shares(self) -> dict[int, Floats]:
-        """Each draw of instances over their number, by which environments share it."""
-        drawn = {draws.shape[1]: draws for draws in self.instances}
-        return {count: draws / count for count, draws in drawn.items()}
 
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
@@ -456,10 +453,5 @@ def percentile_interval(resampled: Floats) -> tuple[float, float]:
     present = np.sort(resampled[~np.isnan(resampled)])
     if not present.size:
         return math.nan, math.nan
-    low, high = np.interp(TAILS, _shares(present.size), present).tolist()
+    low, high = np.interp(TAILS, _linspace(0, 1, present.size), present).tolist()
     return low, high
-
-
-@lru_cache(maxsize=32)
-def _shares(count: int) -> Floats:
-    return np.linspace(0, 1, count)

@@ -12,7 +12,6 @@ import base64
 import io
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from html import escape
 from importlib.metadata import version
@@ -165,25 +164,19 @@ def _learning(results: Results) -> dict[str, str] | None:
     against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if min(map(len, against)) == 0:
         return None
-    with _style():
-        figure = draw_learning_curves(*against)
     return {
-        "source": _picture(figure),
+        "source": _picture(draw_learning_curves(*against)),
         "description": "Success during training against environment steps, and against time",
     }
 
 
-def _style() -> AbstractContextManager[None]:
+def _picture(figure: Figure) -> str:
+    """Return a figure as an address that holds its SVG."""
     from matplotlib import rc_context
 
     from mmc_gym._plotting import STYLE
 
-    return rc_context({**STYLE, "text.parse_math": False})  # users choose the names of agents
-
-
-def _picture(figure: Figure) -> str:
-    """Return a figure as an address that holds its SVG."""
     buffer = io.BytesIO()
-    with _style():
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"

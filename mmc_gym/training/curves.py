@@ -99,7 +99,7 @@ _CAPTION = (
 
 def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame) -> Figure:
     """Draw `mean_curves` against environment steps, left, and against minutes, right."""
-    with rc_context(STYLE):
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         figure = Figure(figsize=(8.6, 5.2), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         _draw_curves(left, against_steps, against_steps["steps"])
