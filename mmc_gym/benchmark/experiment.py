@@ -29,7 +29,7 @@ from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import scenario
-from mmc_gym.envs.tasks import CuedTarget
+from mmc_gym.envs.tasks import CuedTarget, outward
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -176,10 +176,8 @@ class Experiment:
 
     def task(self, go_cue: float = 0.0, target_jump: float = 0.0) -> CuedTarget:
         """Return the task whose trial k has its target in the k-th of the `directions`."""
-        far, turns = self.distance, map(math.radians, self.directions)
-        ends = [(far * math.cos(turn), 0.5 + far * math.sin(turn)) for turn in turns]
-        pairs = tuple((0, end) for end in range(1, len(ends) + 1))
-        return CuedTarget(((0.0, 0.5), *ends), pairs, go_cue, target_jump)
+        ways = outward([self.distance], [math.radians(turn) for turn in self.directions])
+        return CuedTarget(*ways, go_cue, target_jump)
 
     @functools.cached_property
     def schedule(self) -> tuple[PlannedTrial, ...]:

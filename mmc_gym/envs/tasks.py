@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -303,26 +303,25 @@ def _paper_task() -> PointToPoint:
     return PointToPoint(points, tuple(permutations(range(21), 2)))
 
 
-def outward_task(distances: Sequence[float]) -> PointToPoint:
-    """Return the task from half a reach in front of the base to eight targets around that point.
+def outward(distances: Sequence[float], turns: Sequence[float]) -> tuple[Any, Any]:
+    """Return points and pairs of movements from half a reach in front of the base, in all turns.
 
-    Their `distances` from the start are fractions of the reach.
+    Their `distances` from there are fractions of the reach, the turns radians.
     """
-    turns = [k / 8 * math.tau for k in range(8)]
     circles = [
         (distance * math.cos(turn), 0.5 + distance * math.sin(turn))
         for distance in distances
         for turn in turns
     ]
-    pairs = tuple((0, target) for target in range(1, len(circles) + 1))
-    return PointToPoint(((0.0, 0.5), *circles), pairs)
+    return ((0.0, 0.5), *circles), tuple((0, end) for end in range(1, len(circles) + 1))
 
 
+_EIGHT = [k / 8 * math.tau for k in range(8)]
 TASKS: dict[str, Task] = {
     "random": RandomTarget(),
     "paper": _paper_task(),
-    "centre-out": outward_task([0.2]),
-    "distances": outward_task([0.1, 0.2, 0.3, 0.4]),
+    "centre-out": PointToPoint(*outward([0.2], _EIGHT)),
+    "distances": PointToPoint(*outward([0.1, 0.2, 0.3, 0.4], _EIGHT)),
     "double-step-100": DoubleStep(delay=0.1),
     "double-step-200": DoubleStep(delay=0.2),
     "pursuit": Pursuit(),
