@@ -14,7 +14,7 @@ from mmc_gym.training.curves import read_cards
 
 # %%
 # During training each policy was evaluated in the same 200 episodes, and its card has the results.
-# ``agent = mmc_gym.train("ppo-residual", seed=7)`` trains another one, with its ``agent.card``.
+# ``python -m studies.learners.ppo_residual --seed 7`` trains another one, from a clone.
 
 cards = read_cards()
 for name in ("ppo-residual", "ppo"):

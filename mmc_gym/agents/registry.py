@@ -160,7 +160,13 @@ AGENTS: dict[str, AgentEntry] = {
     **_trained("ppo", "PPO of stable-baselines3", 10),
     **_trained("sac", "SAC of stable-baselines3", 5),
     **_trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
-    **_trained("ppo-residual", "PPO on top of mmc: it corrects its actions", 5, base_agent="mmc"),
+    **_trained(
+        "ppo-residual",
+        "PPO on top of mmc: it corrects its actions",
+        5,
+        base_agent="mmc",
+        command="python -m studies.learners.ppo_residual",
+    ),
     **_trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
     **_trained(
         "ppo-position",

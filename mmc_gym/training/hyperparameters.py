@@ -39,7 +39,6 @@ from mmc_gym._errors import UserError, explain, require, require_whole, shown, u
 from mmc_gym._files import read_yaml
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
-from mmc_gym.training.vec_env import Residual
 
 ALGORITHMS: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
 SUFFIXES = (".yml", ".yaml")
@@ -66,7 +65,7 @@ class Recipe:
 
     #: policies, wrappers and replay buffers that the entry may name; a module of yours may add some
     classes: ClassVar[dict[str, type]] = {
-        **{f"{kind.__module__}.{kind.__name__}": kind for kind in (TQCGoalPolicy, Residual)},
+        f"{TQCGoalPolicy.__module__}.{TQCGoalPolicy.__name__}": TQCGoalPolicy,
         "HerReplayBuffer": HerReplayBuffer,
     }
 
@@ -174,7 +173,8 @@ class Recipe:
     def _class(self, key: str, name: object, base: type, *also: str) -> Any:
         known = {each: kind for each, kind in self.classes.items() if issubclass(kind, base)}
         if not isinstance(name, str) or name not in known:
-            raise unknown(f"{self.name}: {key}", name, (*also, *known))
+            yours = "what a module of yours adds to Recipe.classes"
+            raise unknown(f"{self.name}: {key}", name, (*also, *known), yours)
         return known[name]
 
     def _wrapper(self, part: Any) -> partial[VecEnvWrapper]:

@@ -25,7 +25,7 @@ import torch
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
+from stable_baselines3.common.vec_env import VecEnv
 
 from mmc_gym._errors import UserError, is_whole, missing, require, require_whole
 from mmc_gym._files import check_folder
@@ -44,7 +44,7 @@ from mmc_gym.interface import ReachInterface, read_attribute
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_policy, load_checkpoint, read_head, save_checkpoint
-from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
+from mmc_gym.training.vec_env import GymnasiumVecEnv
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -161,8 +161,7 @@ class Training:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
         network, view = export_policy(model.policy)
-        residual = unwrap_vec_wrapper(cast(VecEnv, model.get_env()), Residual)
-        return network, {"view": view, "base_agent": residual.base_agent if residual else ""}
+        return network, {"view": view, "base_agent": getattr(model.get_env(), "base_agent", "")}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
         """Return the head of the checkpoint; None if there is none.  Refuse another training's."""

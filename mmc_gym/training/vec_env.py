@@ -1,8 +1,4 @@
-"""Vector environments for stable-baselines3, which step many arms at once.
-
-`GymnasiumVecEnv` adapts Gymnasium's vector environments.  With `Residual`, a policy corrects the
-actions of another agent.
-"""
+"""Gymnasium's vector environments, which step many arms at once, for stable-baselines3."""
 
 from __future__ import annotations
 
@@ -10,17 +6,14 @@ from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require
-from mmc_gym.agents.policy import BASE_AGENTS, corrected
-from mmc_gym.interface import ReachInterface
+from mmc_gym._errors import require
 
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 Info = dict[str, Any]
@@ -119,48 +112,3 @@ def _row(infos: Info, index: int) -> Info:
         if mask is None or mask[index]:
             row[name] = _row(values, index) if isinstance(values, dict) else values[index]
     return row
-
-
-class Residual(VecEnvWrapper):
-    """A reaching environment whose actions correct those of a base agent.
-
-    The action that the base agent proposes follows the observation.
-    """
-
-    def __init__(self, venv: VecEnv, base_agent: str = "mmc") -> None:
-        """Wrap an environment with Box observations; `base_agent` is a key of `BASE_AGENTS`."""
-        if base_agent not in BASE_AGENTS:
-            raise UserError(f"base_agent must be one of {list(BASE_AGENTS)}, got {base_agent!r}")
-        space, action = venv.observation_space, venv.action_space
-        if not isinstance(space, spaces.Box) or not isinstance(action, spaces.Box):
-            raise UserError(f"venv must have Box observations, got {space}")
-        low = np.concatenate((space.low, action.low))
-        high = np.concatenate((space.high, action.high))
-        super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
-        self.base_agent = base_agent
-        self._base = BASE_AGENTS[base_agent](ReachInterface.of(venv))
-
-    @override
-    def reset(self) -> VecEnvObs:
-        observation = self.venv.reset()
-        assert isinstance(observation, np.ndarray)
-        self._proposal, self._state = self._base.predict(observation)
-        return np.concatenate((observation, self._proposal), axis=-1)
-
-    def step_async(self, actions: NDArray[Any]) -> None:
-        """Begin a step with corrections, of shape (n, N)."""
-        self.venv.step_async(corrected(self._proposal, actions))
-
-    @override
-    def step_wait(self) -> VecEnvStepReturn:
-        observation, rewards, dones, infos = self.venv.step_wait()
-        assert isinstance(observation, np.ndarray)
-        if dones.any():  # at the last observation the base agent would have proposed this
-            last, ended = observation.copy(), np.flatnonzero(dones)
-            last[ended] = [infos[index]["terminal_observation"] for index in ended]
-            proposal, _ = self._base.predict(last, self._state)
-            for index in ended:
-                ending = (last[index], proposal[index])
-                infos[index]["terminal_observation"] = np.concatenate(ending)
-        self._proposal, self._state = self._base.predict(observation, self._state, dones)
-        return np.concatenate((observation, self._proposal), axis=-1), rewards, dones, infos

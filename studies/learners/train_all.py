@@ -23,9 +23,9 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PolicyCard, file_stem, load_policy
 from mmc_gym.training import hyperparameters
 from mmc_gym.training.training import Training
-from studies.learners import ppo_position
+from studies.learners import ppo_position, ppo_residual
 
-POSITION = ppo_position.HYPERPARAMETERS.stem
+OF_STUDIES = {one.HYPERPARAMETERS.stem: one.HYPERPARAMETERS for one in (ppo_position, ppo_residual)}
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ class Arguments:
 
 def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
     """Train or resume one policy, unless it is there, and return its card."""
-    source = str(ppo_position.HYPERPARAMETERS) if name == POSITION else name
-    recipe = hyperparameters.read_recipe(source, steps=arguments.steps)
+    recipe = hyperparameters.read_recipe(str(OF_STUDIES.get(name, name)), steps=arguments.steps)
     stem = file_stem(name, seed)
     with suppress(FileNotFoundError, UserError):  # missing or damaged
         _, card = load_policy(arguments.out / f"{stem}.json")
@@ -63,7 +62,7 @@ def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
 
 def main(arguments: Arguments) -> None:
     """Train the policies, and print a line for each that is ready."""
-    shipped = [*(name for name in hyperparameters.names() if name in AGENTS), POSITION]
+    shipped = [name for name in (*hyperparameters.names(), *OF_STUDIES) if name in AGENTS]
     names = arguments.names or shipped
     policies = [
         (name, seed)

@@ -11,11 +11,11 @@ from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 from mmc_gym._errors import UserError
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
-from mmc_gym.training.vec_env import Residual
+from studies.learners.ppo_residual import Residual
 from studies.learners.random_scenarios import RandomScenarios
 
 POLICIES = "mmc_gym.training.policies"
-RESIDUAL = "mmc_gym.training.vec_env.Residual"
+RESIDUAL = "studies.learners.ppo_residual.Residual"
 RANDOM = "studies.learners.random_scenarios.RandomScenarios"
 HER = "HerReplayBuffer"
 SAC: dict[str, Any] = {"algorithm": "sac"}
@@ -137,7 +137,10 @@ def test_all_that_an_entry_names_is_made():
 def test_a_mistake_is_named_with_the_value_and_what_is_accepted():
     for changes, message in (
         ({"learning_rat": 1e-3}, "'learning_rat' is not accepted; did you mean 'learning_rate'"),
-        ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "is not accepted. It may be MlpPolicy"),
+        (
+            {"policy": f"{POLICIES}.TQCGoalPolicy"},
+            "may be MlpPolicy or what a module",
+        ),
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
         ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "'os.system' is not accepted"),
         ({"vec_env_wrapper": {RESIDUAL: 3}}, "Residual must be a mapping, got 3"),
@@ -145,7 +148,7 @@ def test_a_mistake_is_named_with_the_value_and_what_is_accepted():
         ({"policy_kwargs": {"activation_fn": "nn.ELU"}}, "activation_fn 'nn.ELU' is not accepted"),
         ({"env_kwargs": "control"}, "env_kwargs must be a valid dictionary, got 'control'"),
         ({"n_timesteps": 0}, "n_timesteps must be at least 1, got 0"),
-        ({**SAC, "replay_buffer_class": "Pickle"}, f"'Pickle' is not accepted. It may be {HER}"),
+        ({**SAC, "replay_buffer_class": "Pickle"}, f"'Pickle' is not accepted. It may be {HER} or"),
         # A leg that would never end.
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps must be a whole number"),
         ({"n_steps": 0}, "n_steps must be a whole number of at least 1, got 0"),

@@ -18,11 +18,12 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
+from studies.learners.ppo_residual import HYPERPARAMETERS
 from studies.learners.random_scenarios import RandomScenarios
 
 LEGS = 4
 RANDOM_SCENARIOS = f"{RandomScenarios.__module__}.RandomScenarios"
-RESIDUAL = "mmc_gym.training.vec_env.Residual"
+RESIDUAL = "studies.learners.ppo_residual.Residual"
 SMALL = {"n_timesteps": 1600, "n_envs": 4, "policy_kwargs": {"net_arch": [8]}}
 DELAYS = {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}}}
 OFF_POLICY = {"batch_size": 32, "buffer_size": 1200, "gradient_steps": 1}  # it overflows
@@ -38,7 +39,8 @@ TINY: dict[str, dict[str, Any]] = {
 
 
 def tiny(name, **changes):
-    return read_recipe(name).with_changes(**{**SMALL, **TINY[name], **changes})
+    source = str(HYPERPARAMETERS) if name == "ppo-residual" else name
+    return read_recipe(source).with_changes(**{**SMALL, **TINY[name], **changes})
 
 
 def training(name, folder, seed=3, **changes):

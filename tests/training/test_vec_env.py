@@ -10,7 +10,8 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
-from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
+from mmc_gym.training.vec_env import GymnasiumVecEnv
+from studies.learners.ppo_residual import Residual
 
 IDS = ("MMCReach-v0", "MMCReachGoal-v0")
 COUNT = 3
