@@ -137,10 +137,7 @@ def test_all_that_an_entry_names_is_made():
 def test_a_mistake_is_named_with_the_value_and_what_is_accepted():
     for changes, message in (
         ({"learning_rat": 1e-3}, "'learning_rat' is not accepted; did you mean 'learning_rate'"),
-        (
-            {"policy": f"{POLICIES}.TQCGoalPolicy"},
-            "may be MlpPolicy or what a module",
-        ),
+        ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "may be MlpPolicy.* or what a module"),
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
         ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "'os.system' is not accepted"),
         ({"vec_env_wrapper": {RESIDUAL: 3}}, "Residual must be a mapping, got 3"),
