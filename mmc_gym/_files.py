@@ -1,7 +1,8 @@
-"""Write files so that a reader sees the old content or the new one; read YAML; import modules."""
+"""Write files whole or not at all; seal and check them; read YAML as data; import modules."""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import pkgutil
@@ -15,6 +16,12 @@ import yaml
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require
+
+YAML_MOST = 200_000
+"""Characters of a YAML file, and values in it with all aliases written out, at most."""
+
+UNSEALED = "0" * 64
+"""Stands in a file's metadata for the SHA-256 of the file, see `seal`."""
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
@@ -52,26 +59,75 @@ def check_folder(path: Path | str, name: str) -> Path:
     return path
 
 
-class _YamlLoader(yaml.SafeLoader):
-    """Read YAML, run no code, and refuse a key that occurs twice in a mapping."""
+def seal(content: bytes) -> bytes:
+    """Return the content of a file with its SHA-256 in place of the `UNSEALED` in it."""
+    digest = hashlib.sha256(content).hexdigest()
+    return content.replace(UNSEALED.encode(), digest.encode(), 1)
+
+
+def check_seal(content: bytes, digest: str) -> None:
+    """Raise a `ValueError` unless `seal` made the content and its `digest`."""
+    blank = content.replace(digest.encode(), UNSEALED.encode(), 1) if digest else b""
+    if hashlib.sha256(blank).hexdigest() != digest:
+        raise ValueError("it is not as it was written, or is of an earlier version")
+
+
+class YamlLoader(yaml.SafeLoader):
+    """Read YAML, run no code, and refuse what is no plain data of `YAML_MOST` values.
+
+    A key must be a text, and occur once in its mapping.
+    """
 
     @override
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         node = super().compose_mapping_node(anchor)
-        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        keys = [key.value if _is_text(key) else None for key, _ in node.value]
+        if None in keys:
+            raise yaml.YAMLError(f"the key {node.value[keys.index(None)][0].value} must be a text")
         if twice := next((key for key in keys if keys.count(key) > 1), None):
-            raise yaml.YAMLError(f"the key {twice[1]!r} occurs twice")
+            raise yaml.YAMLError(f"the key {twice!r} occurs twice")
+        return node
+
+    @override
+    def get_single_node(self) -> Any:
+        node = super().get_single_node()
+        _require_few(1 if node is None else _count(node, {}), "values")
         return node
 
 
-def read_yaml(text: str) -> Any:
+def _is_text(key: yaml.Node) -> bool:
+    return key.tag in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge")
+
+
+def _count(node: yaml.Node, counted: dict[int, int]) -> int:
+    """Return the number of values in a node, those behind an alias each time that it is used."""
+    if id(node) not in counted:
+        parts = node.value if isinstance(node, yaml.CollectionNode) else []
+        flat = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
+        counted[id(node)] = 1 + sum(_count(one, counted) for one in flat)
+    return counted[id(node)]
+
+
+def _require_few(count: int, what: str) -> None:
+    if count > YAML_MOST:
+        raise ValueError(f"it must have at most {YAML_MOST:,} {what}, got {count:,}")
+
+
+def read_yaml_file(path: Path, loader: type[YamlLoader] = YamlLoader) -> Any:
+    """Return what a YAML file holds, see `read_yaml`."""
+    _require_few(path.stat().st_size, "characters")
+    return read_yaml(path.read_text(encoding="utf-8"), loader)
+
+
+def read_yaml(text: str, loader: type[YamlLoader] = YamlLoader) -> Any:
     """Return what a YAML text holds; no code in it is run.
 
     Raises:
-        ValueError: if it is not YAML, a key occurs twice, or it is nested too deeply.
+        ValueError: if it is not YAML, has a key that is no text or occurs twice, is nested too
+            deeply, or has more than `YAML_MOST` values.
     """
     try:
-        return yaml.load(text, Loader=_YamlLoader)
+        return yaml.load(text, Loader=loader)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except Exception as error:  # whatever "!!float 5e" or a date that cannot be raises

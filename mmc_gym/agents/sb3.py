@@ -14,11 +14,13 @@ import hashlib
 import inspect
 import io
 import json
+import lzma
 import pickle
 import re
 import sys
 import warnings
 import zipfile
+import zlib
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -33,6 +35,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._files import YamlLoader, read_yaml_file
 from mmc_gym.agents.base import (
     HARMLESS,
     Agent,
@@ -54,8 +57,14 @@ if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
 
 SUFFIX = ".zip"
+# What zipfile and json raise of a damaged content, one that seems encrypted included.
+_DAMAGED = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError),
+    *(KeyError, RuntimeError, ValueError),
+)
 # Entries that a policy is made of; no others in a zip file are unpickled.
 _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
+_MEMBER_MOST = 200 * 2**20  # bytes of an entry of a zip file, unpacked
 _LAST = "_last_obs"  # the last observation of its training, as it saw it
 
 
@@ -206,12 +215,17 @@ class SavedModel:
     @cached_property
     def facts(self) -> Mapping[str, Any]:
         """All entries of the file; pickled ones are not unpickled."""
+        content = self.path.read_bytes()
         try:
-            with zipfile.ZipFile(self.path) as archive:
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                for member in archive.infolist():  # no more than this is ever unpacked of it
+                    if member.file_size > _MEMBER_MOST:
+                        most = f"{_MEMBER_MOST:,} bytes in an entry"
+                        raise ValueError(f"{member.filename} has more than {most}")
                 facts = json.loads(archive.read("data"))
             if not isinstance(facts, dict) or not {"policy_class", "action_space"} <= facts.keys():
                 raise ValueError("it holds no policy")
-        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        except _DAMAGED as error:
             raise UserError(
                 f"{self.path} must be a file that stable-baselines3's save wrote: {error}"
             ) from error
@@ -377,7 +391,7 @@ def _is_normalized(observation: Any, actions: gym.Space[Any]) -> bool:
     return not np.allclose(circle, 1.0, atol=1e-3)
 
 
-class _PlainLoader(yaml.SafeLoader):
+class _PlainLoader(YamlLoader):
     """Read files of rl_zoo3: ordered mappings as plain ones; other objects are None, never made."""
 
 
@@ -392,8 +406,8 @@ _PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
-    except (yaml.YAMLError, ValueError, TypeError) as error:
+        found = read_yaml_file(path, _PlainLoader)
+    except ValueError as error:
         raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
     return found if isinstance(found, dict) else {}
 

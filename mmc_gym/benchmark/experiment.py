@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 import yaml
-from annotated_types import Ge, Gt, Lt, MinLen
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, StringConstraints, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
-from mmc_gym._files import read_yaml
+from mmc_gym._files import read_yaml, read_yaml_file
 from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import scenario
+from mmc_gym.envs.scenarios import perturbation_scenario
 from mmc_gym.envs.tasks import CuedTarget, outward
 
 if TYPE_CHECKING:
@@ -39,10 +39,11 @@ Class = TypeVar("Class", bound=type)
 
 
 def _perturbation(name: str) -> str:
-    found = scenario(name)
-    require(len(found.perturbations) == 1, "perturbations", name, "one each, such as rotation-30")
-    return found.name
+    return perturbation_scenario(name).name
 
+
+TRIALS_MOST = 100_000
+"""Trials of an experiment, at most."""
 
 Word = Annotated[str, MinLen(1)]
 Seconds = Annotated[float, Ge(0), Lt(1000)]
@@ -89,7 +90,7 @@ class Block:
     """Trials under one condition."""
 
     name: Word  #: of the phase, such as "baseline" or "washout"
-    trials: Annotated[int, Gt(0), Lt(100_000)]  #: how many
+    trials: Annotated[int, Gt(0), Le(TRIALS_MOST)]  #: how many
     perturbations: Perturbations = ()  #: names, such as "rotation-30"
     #: directions from the start; each subject meets them in an order of its own, all of them before
     #: one comes again
@@ -103,7 +104,7 @@ class Block:
         share = sum(1 / probe.every for probe in self.probes)
         require(share < 1, "probes", self.probes, "fewer than the trials")
         for name in self.perturbations if self.gradual else ():
-            whole = FAMILIES[scenario(name).family].whole
+            whole = FAMILIES[perturbation_scenario(name).family].whole
             require(not whole, "perturbations", name, "one that can grow, in a gradual block")
 
     def perturbations_in(self, trial: int) -> tuple[str, ...]:
@@ -111,7 +112,7 @@ class Block:
         if not self.gradual:
             return self.perturbations
         grown = []
-        for one in map(scenario, self.perturbations):
+        for one in map(perturbation_scenario, self.perturbations):
             strength = round((one.strength or 0.0) * (trial + 1) / self.trials, 2)
             grown.append(f"{one.family}-{strength:g}{'-told' * one.told}")
         return tuple(grown)
@@ -163,6 +164,10 @@ class Experiment:
     #: of agents that have one (`body_model.agent.Parts`); 0 as people move
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
+    def __post_init__(self) -> None:
+        trials = sum(block.trials for block in self.blocks)
+        require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
+
     @property
     def family(self) -> str:
         """The name without strength, as in `EXPERIMENTS`."""
@@ -186,13 +191,14 @@ class Experiment:
         for index, block in enumerate(self.blocks):
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
+                last = perturbation_scenario(changes[-1]).strength if changes else None
                 planned.append(
                     PlannedTrial(
                         trial=len(planned),
                         block=index,
                         phase=block.name,
                         perturbations=changes,
-                        strength=(scenario(changes[-1]).strength or 0.0) if changes else 0.0,
+                        strength=last or 0.0,
                         probe=probe.name if probe else "",
                         targets=(probe and probe.targets) or block.targets,
                         rest=0.0 if trial else block.rest,
@@ -227,7 +233,7 @@ class Experiment:
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
         names = [name for one in self.schedule for name in one.perturbations]
-        units = dict.fromkeys(scenario(name).unit for name in dict.fromkeys(names))
+        units = dict.fromkeys(perturbation_scenario(name).unit for name in dict.fromkeys(names))
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
 
@@ -272,7 +278,7 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     text = str(experiment)
     if text.endswith((".yml", ".yaml")):
         try:
-            entries = read_yaml(Path(text).read_text(encoding="utf-8"))
+            entries = read_yaml_file(Path(text))
         except ValueError as error:
             raise UserError(f"{text} must be YAML: {error}") from error
         require(isinstance(entries, dict), text, entries, "a mapping with name and blocks")

@@ -217,7 +217,7 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
         return table, kept
     except (FileNotFoundError, PermissionError):
         raise
-    except (OSError, pa.ArrowException, ValueError) as error:
+    except (OSError, pa.ArrowException, KeyError, ValueError) as error:
         raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
 
 

@@ -314,7 +314,10 @@ def _content(path: Path, cell: TrialsCell) -> bytes | None:
 
 def _read(content: bytes) -> _Cell:
     try:
-        return read_table(content)
+        table, kept = read_table(content)
+        if "experiment" not in kept.settings:
+            raise ValueError("it holds no trials of an experiment")
+        return table, kept
     except (OSError, pa.ArrowException, ValueError) as error:
         raise UserError(f"a file of trials is damaged, remove it: {error}") from error
 

@@ -301,7 +301,9 @@ def scenario(name: str, interface: Any = None) -> Scenario:
     first, *others = name.split("+")
     if first not in TASK_SCENARIOS:
         first, others = BASELINE, [first, *others]
-    return _joined(TASK_SCENARIOS[first], [_perturbation("scenario", one) for one in others])
+    return _joined(
+        TASK_SCENARIOS[first], [perturbation_scenario(one, "scenario") for one in others]
+    )
 
 
 def _joined(task: Scenario, changes: Sequence[Scenario]) -> Scenario:
@@ -363,7 +365,7 @@ def find_perturbation(value: object) -> Perturbation:
     if isinstance(value, Perturbation):
         value.check_hooks()
         return value
-    return _perturbation("perturbations", value).perturbations[0]
+    return perturbation_scenario(value).perturbations[0]
 
 
 def find_task(value: object) -> Task:
@@ -403,8 +405,11 @@ def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "M
 _NAME = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<told>-told)?")
 
 
-def _perturbation(argument: str, name: object) -> Scenario:
-    """Return the scenario of one perturbation's name; an error names the argument."""
+def perturbation_scenario(name: object, argument: str = "perturbations") -> Scenario:
+    """Return the scenario of one perturbation's name, which is looked up and never imported.
+
+    So it may come from a file.  An error names the argument.
+    """
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
         raise _unknown(name, argument)

@@ -25,7 +25,7 @@ from safetensors import SafetensorError, safe_open
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_array, require_choice
-from mmc_gym._files import write_atomically
+from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
 from mmc_gym.network.chain import Floats
 
 ShippedNormalizer = Literal["accurate", "paper"]
@@ -79,6 +79,9 @@ class EuclideanNormalizer(Normalizer):
 
 # The square of each is still a normal number of its dtype.
 _NUDGE = {"d": 1e-150, "f": 1e-18}
+
+
+_SEAL = "sha256"  # entry of the metadata, see `seal`
 
 
 class LearnedNormalizer(Normalizer):
@@ -151,16 +154,18 @@ class LearnedNormalizer(Normalizer):
         """Write weights, biases and card as one safetensors file, atomically."""
         tensors = {f"layers.{index}.weight": weight for index, weight in enumerate(self.weights)}
         tensors |= {f"layers.{index}.bias": bias for index, bias in enumerate(self.biases)}
-        write_atomically(path, safetensors.numpy.save(tensors, metadata=self.card))
+        metadata = {**self.card, _SEAL: UNSEALED}
+        write_atomically(path, seal(safetensors.numpy.save(tensors, metadata=metadata)))
 
     @classmethod
     def load(cls, path: Path | str) -> LearnedNormalizer:
-        """Read a file that `save` wrote."""
+        """Read a file that `save` wrote, and that has not been changed since."""
         require(not Path(path).is_dir(), "path", str(path), "a file, no folder")
         try:
             with safe_open(path, framework="numpy") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
                 card = file.metadata() or {}
+            check_seal(Path(path).read_bytes(), card.pop(_SEAL, ""))
             layers = range((len(tensors) + 1) // 2)
             weights = [tensors[f"layers.{index}.weight"] for index in layers]
             biases = [tensors[f"layers.{index}.bias"] for index in layers]

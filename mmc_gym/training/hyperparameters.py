@@ -36,7 +36,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 from mmc_gym._errors import UserError, explain, require, require_whole, shown, unknown
-from mmc_gym._files import read_yaml
+from mmc_gym._files import read_yaml, read_yaml_file
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
 
@@ -223,7 +223,7 @@ def read_recipe(
 
     Args:
         source: the name of a file that ships, see `names`, or the path of your own YAML file.
-        env_id: the environment; None for the first in the file.
+        env_id: the environment; None for the first in the file, which must be of this package.
         steps: environment steps of the training, instead of `n_timesteps`.
         env_kwargs: arguments of the environment, beside those in the file.
 
@@ -237,12 +237,17 @@ def read_recipe(
             raise unknown("name", source, names(), "the path of a YAML file")
         path = _SHIPPED / f"{source}.yml"
     try:
-        entries = read_yaml(path.read_text(encoding="utf-8"))
+        entries = read_yaml_file(path)
     except ValueError as error:
         raise UserError(f"{source} must be YAML: {error}") from error
     if not isinstance(entries, dict) or not entries:
         raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")
-    env_id = env_id or str(next(iter(entries)))
+    if env_id is None:
+        env_id = next(iter(entries))
+        spec = gym.registry.get(env_id)  # of others some import what their arguments name
+        is_own = spec is None or str(spec.entry_point).startswith("mmc_gym.")
+        accepted = "of this package, or said by yourself too (--env), since it may run any code"
+        require(is_own and ":" not in env_id, f"{source}: env", env_id, accepted)
     if env_id not in entries:
         raise unknown(f"env for {source}", env_id, entries)
     entry = entries[env_id]

@@ -10,7 +10,6 @@ replay buffer, and the SHA-256 of all this.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -30,7 +29,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Flatten
 from stable_baselines3.common.type_aliases import Schedule
 
 from mmc_gym._errors import UserError
-from mmc_gym._files import write_atomically
+from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
 from mmc_gym.agents.policy_network import (
     Activation,
     Distribution,
@@ -129,7 +128,6 @@ def _array(parameter: torch.Tensor) -> Float32:
 
 
 Tensors = dict[str, torch.Tensor]
-_BLANK = "0" * 64  # stands where the digest will be, while it is computed
 
 
 def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
@@ -151,10 +149,9 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
             tensors[f"replay/{name}"] = torch.from_numpy(array[: buffer.size()])
     content = safetensors.torch.save(
         {name: tensor.detach().contiguous() for name, tensor in tensors.items()},
-        metadata={"head": json.dumps({**head, "model": counts}), "sha256": _BLANK},
+        metadata={"head": json.dumps({**head, "model": counts}), "sha256": UNSEALED},
     )
-    digest = hashlib.sha256(content).hexdigest()
-    write_atomically(path, content.replace(_BLANK.encode(), digest.encode(), 1))
+    write_atomically(path, seal(content))
 
 
 def read_head(path: Path) -> dict[str, Any]:
@@ -163,10 +160,7 @@ def read_head(path: Path) -> dict[str, Any]:
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-        digest = metadata.get("sha256", "")
-        blank = content.replace(digest.encode(), _BLANK.encode(), 1)
-        if hashlib.sha256(blank).hexdigest() != digest:
-            raise ValueError("it is not as it was written, or is of an earlier version")
+        check_seal(content, metadata.get("sha256", ""))
         head: dict[str, Any] = json.loads(metadata["head"])
         return head
     except (SafetensorError, KeyError, TypeError, ValueError) as error:

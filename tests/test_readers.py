@@ -1,0 +1,174 @@
+"""Files are data: no reader imports, calls or unpacks what a file names."""
+
+import json
+import sys
+import zipfile
+from contextlib import suppress
+
+import numpy as np
+import pytest
+import yaml
+
+import mmc_gym
+from mmc_gym import UserError
+from mmc_gym._files import YAML_MOST, read_yaml
+from mmc_gym.agents import resolve
+from mmc_gym.agents.policy import load_policy, shipped_file
+from mmc_gym.agents.sb3 import SavedModel
+from mmc_gym.benchmark.experiment import TRIALS_MOST, Block, Experiment, find_experiment
+from mmc_gym.benchmark.store import Kept, read_table, to_parquet
+from mmc_gym.network import LearnedNormalizer
+from mmc_gym.network.normalizers import WEIGHTS
+from mmc_gym.report import write_report
+from mmc_gym.training.hyperparameters import read_recipe
+
+NAMES = ["os:abort", "bait:make", "bait:Bait-v0", "bait", "MMCReach-v0"]
+
+
+@pytest.fixture
+def bait(tmp_path, monkeypatch):
+    """A module in the working directory; imported, it leaves a mark."""
+    monkeypatch.chdir(tmp_path)
+    mark = tmp_path / "imported"
+    (tmp_path / "bait.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    yield mark
+    sys.modules.pop("bait", None)
+    assert not mark.exists()
+
+
+def a_store(tmp_path):
+    """Return the only file of trials of an experiment in the store tmp_path."""
+    experiment = Experiment("tiny", [Block("all", 4, ["rotation-30"])])
+    mmc_gym.run_experiment(experiment, "ik-dls", subjects=1, jobs=1, out=tmp_path)
+    [file] = (tmp_path / "trials").glob("*.parquet")
+    return file
+
+
+def with_settings(file, change):
+    """Let a file of trials have changed settings, with checksums that fit."""
+    table, kept = read_table(file.read_bytes())
+    settings = json.loads(json.dumps(kept.settings))
+    change(settings)
+    columns = dict(zip(table.column_names, table.columns))
+    file.write_bytes(to_parquet(columns, Kept(settings, kept.facts)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_in_an_experiment_are_perturbations_and_nothing_else(name, bait, tmp_path):
+    file = tmp_path / "mine.yml"
+    block, probe = {"name": "all", "trials": 4}, {"name": "catch", "every": 2}
+    for entries in (
+        {"blocks": [block], "noise": [name]},
+        {"blocks": [block | {"perturbations": [name]}]},
+        {"blocks": [block | {"probes": [probe | {"perturbations": [name]}]}]},
+    ):
+        file.write_text(yaml.safe_dump({"name": "mine", **entries}))
+        with pytest.raises(UserError, match="is not accepted"):
+            find_experiment(file)
+
+
+@pytest.mark.parametrize("name", NAMES[:3])
+def test_a_report_looks_up_what_a_file_of_trials_names(name, bait, tmp_path):
+    file = a_store(tmp_path)
+
+    def change(settings):
+        settings["experiment"]["blocks"][0]["perturbations"] = [name]
+
+    with_settings(file, change)
+    with pytest.raises(UserError, match="is not accepted"):
+        write_report(tmp_path, tmp_path / "report.html")
+
+
+def test_a_parquet_of_another_kind_is_refused_by_name(tmp_path):
+    file = a_store(tmp_path)
+    with_settings(file, dict.clear)
+    with pytest.raises(UserError, match=file.name):
+        write_report(tmp_path, tmp_path / "report.html")
+
+
+def test_a_hyperparameter_file_imports_no_environment(bait, tmp_path):
+    file = tmp_path / "ppo-mine.yml"
+    file.write_text("bait:Bait-v0: {n_timesteps: 10}\n")
+    with pytest.raises(UserError, match="may run any code"):
+        read_recipe(str(file))
+    file.write_text("MMCReach-v0: {n_timesteps: 10, policy: 'bait:Policy'}\n")
+    with pytest.raises(UserError, match="policy 'bait:Policy' is not accepted"):
+        _ = read_recipe(str(file)).settings
+
+
+def test_a_card_of_a_policy_imports_nothing(bait, tmp_path):
+    card = shipped_file("ppo", 0)
+    for file in (card, card.with_suffix(".safetensors")):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    entries = json.loads(card.read_text()) | {"env_id": "bait:Bait-v0", "base_agent": "bait:make"}
+    (tmp_path / card.name).write_text(json.dumps(entries))
+    with pytest.raises(UserError, match="its card"):
+        load_policy(tmp_path / card.name)
+
+
+def test_rl_zoo3s_files_import_nothing(bait, tmp_path):
+    (tmp_path / "args.yml").write_text(
+        "!!python/object/apply:collections.OrderedDict\n- - - env\n    - bait:Bait-v0\n"
+        "  - - made\n    - !!python/object/apply:bait.make []\n"
+    )
+    with zipfile.ZipFile(tmp_path / "mine.zip", "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {}, "action_space": {}}))
+    assert resolve(str(tmp_path / "mine.zip")).model.control is None
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("1: 2", "key 1 must be a text"),
+        ("on: 2", "key on must be a text"),
+        ("? [a, b]\n: 2", "must be a text"),
+        ("a: &a [1]\nb: *a\na: 1", "'a' occurs twice"),
+        ("a: &a [" + "1, " * 9 + "1]\n" + "".join(
+            f"{chr(98 + n)}: &{chr(98 + n)} [" + f"*{chr(97 + n)}, " * 9 + "1]\n" for n in range(8)
+        ), f"at most {YAML_MOST:,} values"),
+        ("&a [*a]", "nested too deeply"),
+    ],
+)  # fmt: skip
+def test_yaml_is_plain_data_of_a_bounded_size(text, why):
+    with pytest.raises(ValueError, match=why):
+        read_yaml(text)
+
+
+def test_files_have_bounds(tmp_path):
+    (tmp_path / "mine.yml").write_text("a" * (YAML_MOST + 1))
+    with pytest.raises(UserError, match=f"at most {YAML_MOST:,} characters"):
+        find_experiment(tmp_path / "mine.yml")
+    with pytest.raises(UserError, match=f"of {TRIALS_MOST:,} trials at most"):
+        Experiment("long", [Block("all", TRIALS_MOST // 2 + 1)] * 2)
+    with zipfile.ZipFile(tmp_path / "mine.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", b" " * (300 * 2**20))
+    with pytest.raises(UserError, match="data has more than"):
+        _ = SavedModel(tmp_path / "mine.zip").facts
+
+
+def test_a_zip_with_flipped_bits_is_refused_in_one_line(tmp_path):
+    file = tmp_path / "mine.zip"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(
+            "data", json.dumps({"policy_class": {}, "action_space": {}, "x": "y" * 99})
+        )
+    content, random = file.read_bytes(), np.random.default_rng(0)
+    for place in random.integers(0, 8 * len(content), 300):
+        file.write_bytes(flipped(content, int(place)))
+        with suppress(UserError):  # a flip may hit what nobody reads, such as a date
+            _ = SavedModel(file).facts
+
+
+def test_a_normalizer_with_any_flipped_bit_is_refused(tmp_path):
+    content = (WEIGHTS / "accurate-16x16.safetensors").read_bytes()
+    for place in np.random.default_rng(0).integers(0, 8 * len(content), 300):
+        (tmp_path / "flipped").write_bytes(flipped(content, int(place)))
+        with pytest.raises(UserError, match="does not hold a normalizer"):
+            LearnedNormalizer.load(tmp_path / "flipped")
+
+
+def flipped(content, place):
+    """Return a content with one bit flipped."""
+    changed = bytearray(content)
+    changed[place // 8] ^= 1 << place % 8
+    return bytes(changed)
