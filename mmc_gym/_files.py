@@ -141,6 +141,10 @@ def look_here() -> None:
         sys.path.append(here)
 
 
+IMPORTED: dict[str, None] = {}
+"""Names of the modules that the user had imported, in their order; workers import them, too."""
+
+
 def import_modules(names: Iterable[str]) -> None:
     """Import modules that register environments, tasks, perturbations or measures.
 
@@ -151,6 +155,7 @@ def import_modules(names: Iterable[str]) -> None:
         try:
             require("" not in name.split("."), "import", name, "the name of a module")
             importlib.import_module(name)
+            IMPORTED[name] = None
         except ImportError as error:
             raise UserError(f"module {name!r} cannot be imported: {error}") from error
 

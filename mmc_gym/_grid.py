@@ -31,7 +31,8 @@ from typing import Any, TypeVar
 import cloudpickle
 import loky
 
-from mmc_gym._errors import missing, require, require_whole, shown
+from mmc_gym._errors import UserError, missing, require, require_whole, shown
+from mmc_gym._files import IMPORTED, import_modules
 
 CellT = TypeVar("CellT")
 Value = TypeVar("Value")
@@ -265,7 +266,8 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
     As bytes, because arrays that Ray hands over are read-only views of shared memory.
     """
     try:
-        return bytes(cloudpickle.dumps((function, cell)))
+        call = cloudpickle.dumps((function, cell))
+        return pickle.dumps(([*IMPORTED], call))
     except Exception as error:
         raise _failure(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
@@ -275,7 +277,10 @@ def _work(packed: bytes, sources: str | None = None) -> bytes:
     try:
         if sources not in (None, _sources()):
             raise RuntimeError(f"node {platform.node()} must have the caller's sources of mmc_gym")
-        function, cell = pickle.loads(packed)
+        modules, call = pickle.loads(packed)
+        with suppress(UserError):  # a node of a cluster may do without them
+            import_modules(modules)
+        function, cell = pickle.loads(call)
         with one_torch_thread():
             return bytes(cloudpickle.dumps((function(cell), None)))
     except (Exception, SystemExit) as error:

@@ -6,9 +6,9 @@ Only this module knows which number stands where in an observation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, wraps
 from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, get_args
 
@@ -18,7 +18,17 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require, require_floats
+from mmc_gym._errors import (
+    Numbers,
+    UserError,
+    is_whole,
+    require,
+    require_choice,
+    require_floats,
+    require_numbers,
+    require_positive,
+    require_rows,
+)
 from mmc_gym._files import import_object
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -323,11 +333,38 @@ class ReachInterface:
     is_own: ClassVar[bool] = True  #: whether observations are those of `ObservationLayout`
 
     def __init_subclass__(cls) -> None:
-        """Let `sense` of a subclass return what its `see` returns."""
+        """Let `sense` of a subclass return what its `see` returns; check what its methods return.
+
+        So that no value that is not finite gets into an agent or a measure, and float32 is fine.
+        """
         if "see" in vars(cls):
             cls.is_own = False
+            cls.see = _checked_see(cls.see)  # type: ignore[assignment, method-assign]
             if "sense" not in vars(cls):
                 cls.sense = cls.see  # type: ignore[method-assign]
+        if "act" in vars(cls):
+            cls.act = _checked_act(cls.act)  # type: ignore[method-assign]
+
+    def __post_init__(self) -> None:
+        def positive(numbers: Numbers) -> bool:
+            return bool(numbers) and all(0 < number < math.inf for number in numbers)
+
+        def rising(ends: Numbers) -> bool:
+            return len(ends) == 2 and -math.inf < ends[0] < ends[1] < math.inf
+
+        lengths = self.segment_lengths
+        require_numbers("segment_lengths", lengths, "positive and finite", positive)
+        require_choice("control", self.control, CONTROLS)
+        for name in ("speed_limit", "servo_gain", "control_step"):
+            require_positive(name, getattr(self, name))
+        if self.success_distance is not None:
+            require_positive("success_distance", self.success_distance)
+        count = getattr(self.arm, "joint_count", len(lengths))
+        if self.joint_limits is not None:
+            accepted = f"{count} pairs of finite angles, the lower one first"
+            require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
+        fine = all(is_whole(joint) and 0 <= joint < count for joint in self.lockable_joints)
+        require(fine, "lockable_joints", self.lockable_joints, f"numbers of joints below {count}")
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
@@ -450,6 +487,51 @@ class ReachInterface:
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
                 f"that gives joint targets, got {self.control!r}"
             )
+
+
+def _checked_see(see: Callable[[Any, Any], Seen]) -> Callable[[Any, Any], Seen]:
+    """Return a user's `see` that returns finite float64 arrays of fitting shapes, or raises."""
+
+    @wraps(see)
+    def checked(self: ReachInterface, observation: Any) -> Seen:
+        seen = see(self, observation)
+        require(isinstance(seen, Seen), "what see returns", seen, "a Seen")
+        count, size = len(self.segment_lengths), 2
+        if self.arm is not None:
+            count, size = self.arm.joint_count, 3
+        batch = np.shape(seen.joint_angles)[:-1]
+        arrays = {
+            name: _finite(f"{name} of see", getattr(seen, name), (*batch, length))
+            for name, length in (
+                *(("joint_angles", count), ("target", size)),
+                *(("joint_speeds", count), ("hand", size)),
+            )
+        }
+        return replace(seen, **arrays)
+
+    return checked
+
+
+def _checked_act(act: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a user's `act` that returns finite actions with the batch axes of the targets."""
+
+    @wraps(act)
+    def checked(self: ReachInterface, joint_targets: Floats, sensed: Sensed) -> Any:
+        action = np.asarray(act(self, joint_targets, sensed))
+        return _finite("what act returns", action, (*joint_targets.shape[:-1], *action.shape[-1:]))
+
+    return checked
+
+
+def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """Return a finite array of a shape as float64; actions may stay float32."""
+    array = np.asarray(value)
+    fine = array.shape == shape and array.dtype.kind in "fiu"
+    require(fine, name, f"{array.dtype} of shape {array.shape}", f"numbers of shape {shape}")
+    # For a single arm four times quicker than numpy.
+    is_finite = math.isfinite(sum(array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
+    require(bool(is_finite), name, value, "finite")
+    return array if name == "what act returns" else array.astype(np.float64, copy=False)
 
 
 class InterfacedEnv(gym.Env[Any, Any]):

@@ -13,6 +13,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.cli import main
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 from mmc_gym.network.chain import segments_from_joint_angles
@@ -59,6 +60,27 @@ class DrawerInterface(ReachInterface):
 
 INTERFACE = DrawerInterface(LENGTHS, "joint_position", 5.0, 50.0, 0.02, success_distance=0.1)
 STATES_NO_DISTANCE = replace(INTERFACE, success_distance=None)
+
+
+class SinglePrecision(DrawerInterface):
+    """As an environment whose observations are float32 sees and takes it."""
+
+    def see(self, observation):
+        seen = super().see(np.asarray(observation, np.float32))
+        return Seen(seen.joint_angles, seen.target, joint_speeds=seen.joint_speeds, hand=seen.hand)
+
+    def act(self, joint_targets, sensed):
+        return super().act(joint_targets, sensed).astype(np.float32)
+
+
+class Returning(DrawerInterface):
+    """Returns what it is told to: `wrong` of what it sees, or of its actions."""
+
+    wrong = None
+
+    def see(self, observation):
+        seen = super().see(observation)
+        return self.wrong(seen) if self.wrong else seen
 
 
 def make_drawer():
@@ -217,3 +239,85 @@ def test_the_servo_is_the_solution_of_the_riccati_equation():
     expected = -gains @ np.concatenate([-left, speeds])
     np.testing.assert_allclose(reacher.INTERFACE.act(goal, seen), expected, atol=1e-5)
     np.testing.assert_allclose(reacher.root(weight) @ reacher.root(weight), weight)
+
+
+@pytest.mark.parametrize("name", ["mmc-body", "ik-body"])
+def test_an_interface_may_return_any_float_type(name):
+    plain, single = (
+        last_info(make_agent(name, make_drawer(), interface=one), make_drawer(), 3)
+        for one in (INTERFACE, SinglePrecision(*vars(INTERFACE).values()))
+    )
+    assert single["is_success"] == plain["is_success"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda seen: replace(seen, hand=seen.hand * np.nan), "hand of see must be finite"),
+        (lambda seen: replace(seen, target=seen.target[:1]), r"target of see .*shape \(2,\)"),
+        (lambda seen: replace(seen, joint_speeds=None), "joint_speeds of see must be numbers"),
+        (lambda seen: (seen.hand, seen.target), "what see returns must be a Seen"),
+    ],
+)
+def test_what_an_interface_returns_is_checked(wrong, message, monkeypatch):
+    env, interface = make_drawer(), Returning(*vars(INTERFACE).values())
+    agent = make_agent("mmc-body", env, interface=interface)
+    monkeypatch.setattr(Returning, "wrong", staticmethod(wrong))
+    with pytest.raises(UserError, match=message):
+        agent.predict(env.reset(seed=1)[0])
+    with pytest.raises(UserError, match=message):
+        InterfacedEnv(env, interface).reset(seed=1)
+
+
+def test_actions_of_an_interface_are_finite_and_keep_the_batch():
+    class Broken(DrawerInterface):
+        def act(self, joint_targets, sensed):
+            return super().act(joint_targets, sensed) * np.inf
+
+    env = make_drawer()
+    agent = make_agent("ik-dls", env, interface=Broken(*vars(INTERFACE).values()))
+    with pytest.raises(UserError, match="what act returns must be finite"):
+        agent.predict(env.reset(seed=1)[0])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("segment_lengths", (1.0, -1.0)),
+        ("segment_lengths", ()),
+        ("segment_lengths", (1.0, np.nan)),
+        ("control", "by hand"),
+        ("speed_limit", 0.0),
+        ("servo_gain", np.inf),
+        ("control_step", -0.02),
+        ("success_distance", np.nan),
+        ("joint_limits", ((-1.0, 1.0),)),
+        ("joint_limits", ((-1.0, 1.0), (-np.inf, 1.0))),
+        ("joint_limits", ((-1.0, 1.0), (1.0, -1.0))),
+        ("lockable_joints", (2,)),
+    ],
+)
+def test_fields_of_an_interface_are_checked_when_it_is_made(field, value):
+    with pytest.raises(UserError, match=field):
+        replace(INTERFACE, **{field: value})
+
+
+def test_an_interface_is_refused_for_scenarios_of_this_package(tmp_path):
+    message = r"interface must be left out .* got rotation-30"
+    with pytest.raises(UserError, match=message):
+        compare("ik-dls", "rotation-30", interface=INTERFACE)
+    with pytest.raises(UserError, match=message):
+        benchmark("ik-dls", tmp_path, "rotation-30", interface=INTERFACE)
+
+
+@pytest.mark.parametrize("limits", [None, ((-2.0, 2.0), (-2.5, 2.5))])
+def test_a_benchmark_of_your_own_environment_is_read_and_resumed(limits, tmp_path):
+    interface = replace(INTERFACE, joint_limits=limits)
+    for reused in (0, 2):
+        manifest = benchmark(
+            *(["mmc-body", "ik-dls"], tmp_path, {"drawer": make_drawer}, 2),
+            jobs=2,
+            interface=interface,
+        )
+        assert manifest.reused == reused
+        assert len(read_episodes(tmp_path)) == 4

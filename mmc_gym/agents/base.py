@@ -6,6 +6,7 @@ An agent sees only observations; besides, it is given a `ReachInterface`.
 from __future__ import annotations
 
 import inspect
+import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -60,15 +61,25 @@ def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeE
     return None
 
 
-def gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:
-    """Return whether a function returns something of an action's shape for an observation."""
+def why_no_action(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> str:
+    """Return what a function does with an observation but give an action; "" if it gives one."""
     space = deepcopy(env.observation_space)
     space.seed(0)
     try:
         action = np.asarray(function(space.sample()))
-    except Exception:  # whatever it raises, it takes no observations
-        return False
-    return action.shape == env.action_space.shape and action.dtype.kind in "fiub"
+    except Exception as error:  # whatever the user's code raises
+        return raised(error)
+    shape = env.action_space.shape
+    if action.shape == shape and action.dtype.kind in "fiub":
+        return ""
+    return f"returned {action.dtype} of shape {action.shape}, an action has {shape}"
+
+
+def raised(error: Exception) -> str:
+    """Return what a user's function raised, and where: after the frame that called it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    frame = frames[min(1, len(frames) - 1)]
+    return f"raised {type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"
 
 
 def function_agent(function: Callable[[Any], Any]) -> Predictor:

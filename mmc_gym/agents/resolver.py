@@ -37,10 +37,11 @@ from mmc_gym.agents.base import (
     Agent,
     Predictor,
     function_agent,
-    gives_actions,
+    raised,
     refusal,
     require_plain,
     warn_of_another_arm,
+    why_no_action,
     with_whole_signature,
 )
 from mmc_gym.agents.registry import (
@@ -439,14 +440,17 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
         return agent.acting_in(env)
     if hasattr(agent, "predict"):
         return with_whole_signature(agent)
-    if not isinstance(given, type) and gives_actions(given, env):
+    if isinstance(given, type):
+        raise failure or UserError(f"agent {label!r} must be a class with predict, got {agent!r}")
+    if not (why := why_no_action(given, env)):
         return function_agent(given)
-    if failure is not None:
+    seen = f"returned {agent!r}" if failure is None else raised(failure)
+    if failure is not None and why == seen:  # its own mistake, whatever it is called with
         raise failure
     raise UserError(
         f"agent {label!r} must return an object with predict for an environment, or an action for "
-        f"an observation, got {agent!r}"
-    )
+        f"an observation; for an observation it {why}; for the environment it {seen}"
+    ) from failure
 
 
 def _check_takes_env(given: Any, label: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import MismatchWarning
+from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
 from mmc_gym.agents.resolver import ResolvedAgent
@@ -83,6 +83,7 @@ def find_scenarios(
     for one in found:  # a strength that this arm cannot have is refused at once
         if one.env is None:
             make_environment(one.name, **given).close()
+    _check_interface(interface, chosen.values())
     changes = {"env_kwargs": given, "interface": interface}
     return {name: replace(one, **changes) for name, one in chosen.items()}
 
@@ -97,8 +98,17 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any 
     if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
         found = scenario(env)
         make_environment(env, **env_kwargs).close()  # so that an error names the scenario
+    _check_interface(interface, [found])
     given = {**found.env_kwargs, **env_kwargs}
     return replace(found, env_kwargs=given, interface=interface)
+
+
+def _check_interface(interface: Any, scenarios: Iterable[Scenario]) -> None:
+    """Refuse an interface for scenarios of this package, which have their own."""
+    shipped = [one.name for one in scenarios if one.env is None]
+    if interface is not None and shipped:
+        names = ", ".join(shipped[:3]) + ", …" * (len(shipped) > 3)
+        raise UserError(f"interface must be left out for scenarios of this package, got {names}")
 
 
 def make_player(

@@ -23,6 +23,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -444,12 +445,22 @@ def _as_json(arguments: dict[str, Any]) -> Any:
     digest of its code: changed code is another scenario.
     """
 
-    def fields(value: Any) -> dict[str, Any]:
-        plain = vars(value) if hasattr(value, "__dict__") else {"value": repr(value)}
+    def fields(value: Any) -> Any:
+        if isinstance(value, np.ndarray | np.generic):
+            return value.tolist()
+        kept = {"value": repr(value)} if not hasattr(value, "__dict__") else vars(value)
+        # A cached property appears among the others once it has been read.
+        cached = {name for name in kept if isinstance(_declared(value, name), cached_property)}
+        plain = {name: one for name, one in kept.items() if name not in cached}
         code = code_of(value)
         return {"name": type(value).__name__, **plain, **({"code": code} if code else {})}
 
     return json.loads(json.dumps(arguments, default=fields))
+
+
+def _declared(value: Any, name: str) -> Any:
+    """Return what the class of a value says of an attribute; None if nothing."""
+    return inspect.getattr_static(type(value), name, None)
 
 
 _SHIPPED = frozenset((*TASKS, *FAMILIES))  # yours may be registered again, as in a notebook

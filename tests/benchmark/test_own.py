@@ -181,3 +181,27 @@ def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
     run("record", *mine, "--agents", "my_things:still", "--scenarios", "MMCReachAhead-v0")
     assert "targets straight ahead" in run("list", "tasks", *mine).stdout
     assert "7 % of their torque" in run("show", "weak-7", *mine).stdout
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda seen: seen["x"], r"for an observation it raised IndexError: .*test_own\.py:\d+"),
+        (lambda seen: np.linalg.inv(seen), "for an observation it raised LinAlgError: "),
+        (lambda seen: seen[:2], r"for an observation it returned float32 of shape \(2,\)"),
+    ],
+)
+def test_what_a_function_of_observations_raises_is_said(function, message):
+    with pytest.raises(UserError, match=message):
+        mmc_gym.make_agent(function, gym.make("MMCReach-v0"))
+
+
+def test_workers_import_what_the_user_had_imported(tmp_path):
+    (tmp_path / "arms.py").write_text("import gymnasium as gym\nimport mmc_gym\n" + MY_ARM)
+    command = [sys.executable, "-m", "mmc_gym.cli", "benchmark", "--agents", "ik-dls", "random"]
+    command += ["--environments", "MyArm-v0", "--import", "arms", "--jobs", "2"]
+    command += ["--episodes", "2", "--out", "store"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "failed" not in done.stdout
+    assert len(read_episodes(tmp_path / "store")) == 4
