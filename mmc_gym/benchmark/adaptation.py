@@ -98,7 +98,8 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
     - final_adaptation: mean of the last 10 trials of the first exposure.
     - after_effect: of the first 4 without perturbation in the block that follows, see Shadmehr &
       Mussa-Ivaldi (1994), J. Neurosci. 14, 3208.
-    - retention: of the 4 trials after the first rest that follows, over the 10 before it.
+    - retention: of the 4 trials after the first rest that follows (of all, if its block has fewer),
+      over the 10 before it.
     - clamp_asymptote: of the last 10 trials whose error is clamped and not 0, see Morehead et al.
       (2017), J. Cogn. Neurosci. 29, 1061.
     - others: see `mmc_gym.measures.learning`.
@@ -112,7 +113,9 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
 
     if exposures:
         begin, end = exposures[0][[0, -1]]
-        first, *second = (fit_exponential(of.adaptation[..., one])[..., 1] for one in exposures[:2])
+        fits = (fit_exponential(of.adaptation[..., one]) for one in exposures[:2])
+        # A hand that turns with the perturbation, not against it, has learned nothing.
+        first, *second = (np.where(one[..., 0] > least, one[..., 1], math.nan) for one in fits)
         found["rate"], found["savings"] = first, second[0] / first if second else found["savings"]
         found["final_adaptation"] = level(exposures[0][-AT_END:])
         is_free = (of.perturbations == 0) & (of.kinds != "transfer")
@@ -120,13 +123,13 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
         found["after_effect"][...] = level(np.flatnonzero(is_free)[:AT_START])
         for rest in np.flatnonzero(of.rests[begin + 1 :])[:1] + begin + 1:
             learned = level(np.arange(max(begin, rest - AT_END), rest))
-            left = level(np.arange(rest, rest + AT_START))
+            left = level(np.flatnonzero(of.blocks[rest:] == of.blocks[rest])[:AT_START] + rest)
             found["retention"] = left / np.where(learned > least, learned, math.nan)
         probes = np.flatnonzero(of.kinds[begin:] == "transfer") + begin
         if len(probes):
             learned = of.adaptation[..., probes]
             widths = generalization_width(learned, of.offsets[probes])
-            found["width"] = np.where(learned.max(axis=-1) > least, widths, math.nan)
+            found["width"] = np.where(np.fmax.reduce(learned, axis=-1) > least, widths, math.nan)
     clamped = np.flatnonzero(of.kinds == "clamp")
     if exposures or len(clamped):
         found |= zip(TWO_STATES, np.moveaxis(fit_two_states(of.adaptation, of.errors), -1, 0))
@@ -197,16 +200,24 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
     if not len(jumps):
         return found
     # A jump changes where the hand must go: the target's, or that of the cursor against the hand.
+    # A trial that ends before its jump shows nothing of it.
     goals = (targets - (cursors - hands))[:, jumps].astype(np.float64)
     moved = goals - goals[:, :, [int(result.trials["go_step"].max()) + 1]]
     sizes = np.linalg.norm(moved[:, :, -1], axis=-1)
     same = (angles[:, jumps, None] == angles[:, None]) & (kinds == "")
     plain = np.einsum("sjk,sktd->sjtd", same / same.sum(axis=-1, keepdims=True), hands)
     responses = hands[:, jumps] - plain
+    jumped = np.argwhere(sizes > 0)
+    if not len(jumped):
+        return found
+    sizes[sizes == 0] = math.nan
     along = np.einsum("sjtd,sjd->sjt", responses, moved[:, :, -1] / sizes[..., None])
-    size, step = sizes.mean(), np.argmax(np.linalg.norm(moved[0, 0], axis=-1) > sizes[0, 0] / 2)
-    jump = float(size), float(step) * result.control_step, result.control_step
-    return replace(found, responses=along.mean(axis=1), jump=jump)
+    one = tuple(jumped[0])
+    step = np.argmax(np.linalg.norm(moved[one], axis=-1) > sizes[one] / 2)
+    jump = float(np.nanmean(sizes)), float(step) * result.control_step, result.control_step
+    counts = (~np.isnan(along)).sum(axis=1)
+    mean = np.nansum(along, axis=1) / np.where(counts, counts, math.nan)
+    return replace(found, responses=mean, jump=jump)
 
 
 def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floats:
@@ -250,7 +261,8 @@ def learning_table(
             unit = learning.unit if one.unit == _UNIT else one.unit
             factor, unit = (METRES, "m") if (unit, lengths_in) == ("lengths", "m") else (1, unit)
             values = factor * found[one.name]
-            low, high = percentile_interval(values[1:])
+            is_known = not math.isnan(values[0])
+            low, high = percentile_interval(values[1:]) if is_known else (math.nan, math.nan)
             facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
             interval = {"estimate": float(values[0]), "low": low, "high": high}
             count = {"count": len(learning.errors), "missing": 0, "source": ""}

@@ -96,11 +96,11 @@ def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
 def moving_part(speeds: ArrayLike) -> slice:
     """Return the steps from the first to the last with at least 5 % of the peak speed.
 
-    The slice is empty at rest.
+    The slice is empty at rest, and where a speed is not known.
     """
     profile = np.asarray(speeds, dtype=np.float64)
     highest = profile.max(initial=0.0)
-    if highest == 0.0:
+    if not highest > 0.0:
         return slice(0, 0)
     fast = np.flatnonzero(profile >= MOVING * highest)
     return slice(int(fast[0]), int(fast[-1]) + 1)

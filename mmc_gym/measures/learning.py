@@ -28,13 +28,15 @@ _WIDTHS, _CENTRES = np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0,
 def initial_direction(paths: ArrayLike, targets: ArrayLike) -> Floats:
     """Return the direction of the hand at its peak speed less that of the target, degrees.
 
-    Both are seen from the start of the movement; in (−180, 180], NaN for a hand that never moves.
+    Both are seen from the start of the movement; in (−180, 180], NaN for a hand that never moves
+    and for a target at the start.
     Paths of hand or cursor are (..., time, 2), in any unit of length, and targets (..., 2).
 
     Source: Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20, 8916–8924.
     """
     hand, aim = _at_peak_speed(paths, targets)
-    return np.degrees(np.arctan2(_cross(aim, hand), (aim * hand).sum(axis=-1)))
+    turns = np.degrees(np.arctan2(_cross(aim, hand), (aim * hand).sum(axis=-1)))
+    return np.asarray(np.where(aim.any(axis=-1), turns, math.nan))
 
 
 def lateral_deviation(paths: ArrayLike, targets: ArrayLike) -> Floats:
@@ -43,12 +45,15 @@ def lateral_deviation(paths: ArrayLike, targets: ArrayLike) -> Floats:
     In the unit of `paths`; for arguments and NaN see `initial_direction`.
     """
     hand, aim = _at_peak_speed(paths, targets)
-    return _cross(aim, hand) / np.linalg.norm(aim, axis=-1)
+    ways = np.linalg.norm(aim, axis=-1)
+    return np.asarray(_cross(aim, hand) / np.where(ways > 0, ways, math.nan))
 
 
 def _at_peak_speed(paths: ArrayLike, targets: ArrayLike) -> tuple[Floats, Floats]:
     """Return the hand at the end of its fastest step, and the target, both from the start."""
     hands = np.asarray(paths, dtype=np.float64)
+    if hands.shape[-2] < 2:  # it never moves
+        hands = np.full((*hands.shape[:-2], 2, 2), math.nan)
     steps = np.linalg.norm(np.diff(hands, axis=-2), axis=-1)
     fastest = np.argmax(steps, axis=-1)[..., None, None] + 1
     hand = np.take_along_axis(hands, fastest, axis=-2)[..., 0, :] - hands[..., 0, :]
@@ -64,11 +69,13 @@ def correction_gain(response: ArrayLike, jump: float) -> Floats:
     """Return which share of a jump in flight the hand has corrected at the end.
 
     The response is the mean path with the jump less that without, along the full correction,
-    (..., time), and `jump` the size of the jump of target or cursor, in the same unit.
+    (..., time), and `jump` the size of the jump of target or cursor, in the same unit.  NaN for a
+    jump of 0.
 
     Source: Veyrat-Masson, Brière & Proteau (2010), J. Vision 10(14), 27.
     """
-    return np.asarray(np.asarray(response)[..., -1] / jump)
+    ends = np.asarray(response, dtype=np.float64)[..., -1:].sum(axis=-1)
+    return np.asarray(ends / (jump if jump and np.size(response) else math.nan))
 
 
 def correction_latency(
@@ -78,7 +85,7 @@ def correction_latency(
 
     A line through the points where the response's acceleration first has 25 % and 75 % of its peak
     is extended to 0, so that a strong response does not count as an early one.  NaN if the response
-    never is 1 % of the jump.
+    never is 1 % of the jump in its direction, is not known throughout, or ends before the jump.
 
     The response, (time,), and the jump are those of `correction_gain`; it jumps at `jump_time`,
     seconds after the first position.
@@ -86,11 +93,13 @@ def correction_latency(
     Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
     """
     path = np.asarray(response, dtype=np.float64)
-    if np.abs(path).max() < 0.01 * jump:
+    if len(path) < 3 or not path.max() >= 0.01 * jump > 0:  # so it is, with NaN
         return math.nan
     accelerations = np.diff(path, 2)  # centred at the times control_step, 2 control_step, …
     accelerations[: max(0, math.ceil(jump_time / control_step) - 1)] = 0.0
     rise = np.maximum.accumulate(accelerations[: np.argmax(accelerations) + 1])
+    if not rise[-1] > 0:
+        return math.nan
     times = (np.arange(len(rise)) + 1) * control_step
     quarter, three_quarters = np.interp([0.25 * rise[-1], 0.75 * rise[-1]], rise, times)
     return max(0.0, float(quarter - (three_quarters - quarter) / 2) - jump_time)
@@ -147,13 +156,13 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
 
     The adaptation y and the errors e are (..., trials).  NaNs in y are left out; e is NaN where
     nothing is seen.  Return `TWO_STATES`, (..., 4).  A process that does not help has B = 0 and A
-    NaN; all are NaN where nothing was learned.
+    NaN; all are NaN where nothing was learned, or no error was seen.
 
     Source: Smith, Ghazizadeh & Shadmehr (2006), PLoS Biol. 4, e179.
     """
     present, seen = ~np.isnan(adaptation), np.nan_to_num(errors)
     known = adaptation[present]
-    if len(known) < 8 or np.abs(known).max() <= 1e-3 * np.abs(seen).max():
+    if len(known) < 8 or not seen.any() or np.abs(known).max() <= 1e-3 * np.abs(seen).max():
         return np.full(4, math.nan)
     from scipy.signal import lfilter  # takes long to import
 
@@ -172,7 +181,8 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
     fast, slow = np.unravel_index(np.argmax(explained), explained.shape)
     if explained[fast, slow] <= 0.0:  # one process does as well
         best, rate = _nearest_shape(states, known)
-        return np.array([math.nan, _RETENTIONS[best], 0.0, max(rate, 0.0)])
+        one_state = np.array([math.nan, _RETENTIONS[best], 0.0, rate])
+        return one_state if rate > 0 else np.full(4, math.nan)
 
     def residuals(at: Floats) -> Floats:
         a, b, rate_a, rate_b = expit(at)
@@ -187,13 +197,15 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
 def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
 
-    At most 180°, which stands for flat: on a circle nothing is wider.
+    At most 180°, which stands for flat: on a circle nothing is wider.  NaNs in y are left out.
 
     y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
     target's direction less the trained one, degrees, (probes,).
 
     Source: Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
     """
+    present = ~np.isnan(adaptation) & ~np.isnan(offsets)
+    adaptation, offsets = adaptation[present], offsets[present]
     if len(np.unique(offsets)) < 4 or not np.any(adaptation):
         return math.nan
     widths, centres = _WIDTHS.reshape(-1, 1), _CENTRES.reshape(-1, 1)

@@ -25,9 +25,11 @@ def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool
     d_k ≤ ε for k = n − steps … n, where n is the last step.  With one step or more, a hand that
     only passes the target when time is up does not count.
     Distances from hand to target are (steps + 1,).  A distance of exactly ε, the tolerance, is
-    within, as in the environment.  A shorter episode counts as a whole.
+    within, as in the environment.  A shorter episode counts as a whole; one without
+    distances is not within.
     """
-    return bool((np.asarray(distances)[-steps - 1 :] <= tolerance).all())
+    last = np.asarray(distances)[-steps - 1 :]
+    return bool(last.size and (last <= tolerance).all())
 
 
 def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) -> float:
@@ -48,10 +50,11 @@ def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) ->
 def largest_retreat(distances: ArrayLike) -> float:
     """Return how far the hand retreats from the target: max_{k>j} (d_k − d_j), at least 0.
 
+    NaN without distances, or where one is NaN.
     The published figures call more than 0.01 of the way from start to target an overshoot.
     """
     profile = np.asarray(distances, dtype=np.float64)
-    return float((profile - np.minimum.accumulate(profile)).max())
+    return float((profile - np.minimum.accumulate(profile)).max()) if profile.size else math.nan
 
 
 _SHARE: Any = {"unit": "fraction", "best": "high", "statistic": "mean", "decimals": 3}
@@ -119,13 +122,16 @@ def linearity_index(points: ArrayLike) -> float:
     """Return the largest distance of a path from the line between its ends, over its length.
 
     max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0 and u the unit vector from the first
-    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.
+    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began,
+    or has no points.
     The points are positions of the hand, or joint angles, (points, dimensions).
 
     Source: Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
     https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
     """
     path = np.asarray(points, dtype=np.float64)
+    if not len(path):
+        return math.nan
     away = path - path[0]
     length = math.sqrt(away[-1].dot(away[-1]))
     if length == 0.0:

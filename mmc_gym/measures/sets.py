@@ -54,13 +54,14 @@ def posture_spread(joint_angles: ArrayLike) -> float:
     mean square over the joints of the angular deviation, which equals the standard deviation for
     small spreads and √2 for uniform angles.  0 if the posture depends on the target alone (Donders'
     law), more if it also depends on the way there.
-    The joint angles q, with the hand at that place, are in radians, (movements, N).
+    The joint angles q, with the hand at that place, are in radians, (movements, N); NaN for fewer
+    than two movements.
 
     Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for
     the arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
     """
     angles = np.asarray(joint_angles, dtype=np.float64)
-    if angles.size == 0:
+    if len(angles) < 2 or angles.size == 0:
         return math.nan
     lengths = np.hypot(np.cos(angles).mean(axis=0), np.sin(angles).mean(axis=0))
     return math.sqrt(float(np.clip(2 * (1 - lengths), 0.0, None).mean()))

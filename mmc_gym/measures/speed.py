@@ -77,7 +77,8 @@ def count_peaks(speeds: ArrayLike) -> float:
 
     A peak stands out by its prominence: how far the speed falls on both sides before it gets
     higher.  The hand rests before and after the profile, so one that is fastest in its first step
-    has a peak there.  A single smooth submovement has 1, a hand at rest 0.
+    has a peak there.  A single smooth submovement has 1, a hand at rest 0; NaN if a
+    speed is NaN.
 
     Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
     8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
@@ -85,6 +86,8 @@ def count_peaks(speeds: ArrayLike) -> float:
     from scipy.signal import find_peaks  # a second of imports, which tables do without
 
     profile = np.concatenate(([0.0], np.asarray(speeds, dtype=np.float64), [0.0]))
+    if np.isnan(profile).any():
+        return math.nan
     peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * profile.max())
     return float(len(peaks))
 
@@ -154,7 +157,7 @@ def sparc(episode: Episode) -> float:
     12, 112, https://doi.org/10.1186/s12984-015-0090-9; parameters as published.
     """
     profile = episode.movement_speeds
-    if highest_speed(profile) == 0.0:
+    if not highest_speed(profile) > 0.0:
         return math.nan
     count = 2 ** (math.ceil(math.log2(profile.size)) + SPARC_PADDING)
     frequencies = np.fft.rfftfreq(count, episode.control_step)

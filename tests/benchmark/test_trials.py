@@ -122,3 +122,12 @@ def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkey
     (stored,) = read_experiments(tmp_path)
     assert stored.experiment == SHORT
     assert set(stored.trials["agent"]) == {"mmc", "ik-dls"}
+
+
+def test_a_trial_that_ends_before_its_jump_shows_no_correction() -> None:
+    jumps = (Probe("jump left", 2, target_jump=10.0),)
+    for seconds, seen in ((0.06, False), (0.6, True)):
+        block = Block("jumps", 4, targets=(0.0,), probes=jumps)
+        short = Experiment("jumps", (block,), trial_seconds=seconds)
+        measures = run_experiment(short, ["ik-dls"], subjects=1, jobs=1).measures["measure"]
+        assert ({"latency", "gain"} <= set(measures)) == seen

@@ -1,5 +1,7 @@
 """Measures of learning: what they return for movements and learners that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,43 @@ def test_the_width_of_a_gaussian(width):
     assert generalization_width(np.full(len(offsets), 20.0), offsets) == pytest.approx(180)
 
 
+ALONG = np.clip(np.arange(60) * STEP - 0.3, 0, None)
+ROUND, UNKNOWN = np.arange(0, 360, 45.0), np.full(60, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("measured", "arguments"),
+    [
+        (correction_latency, (UNKNOWN, 0.1, 0.2, STEP)),
+        (correction_latency, (-ALONG, 0.1, 0.2, STEP)),  # the other way
+        (correction_latency, (ALONG, 0.1, 5.0, STEP)),  # ended before the jump
+        (correction_latency, (ALONG, 0.0, 0.2, STEP)),
+        (correction_latency, ([], 0.1, 0.2, STEP)),
+        (correction_latency, ([0.0, 1.0], 0.1, 0.0, STEP)),
+        (correction_gain, (ALONG, 0.0)),
+        (correction_gain, ([], 0.1)),
+        (fit_exponential, (UNKNOWN,)),
+        (fit_two_states, (np.ones(60), UNKNOWN)),  # no error is seen
+        (fit_two_states, (-ALONG, np.ones(60))),  # away from what would help
+        (fit_two_states, (UNKNOWN, np.ones(60))),
+        (generalization_width, (UNKNOWN[:8], ROUND)),
+        (generalization_width, (np.r_[1.0, 2, 1, UNKNOWN[:5]], ROUND)),
+        (initial_direction, (BELL * [1, 0], [0, 0])),  # a target at the start
+        (lateral_deviation, (BELL * [1, 0], [0, 0])),
+        (initial_direction, ([[0, 0]], [1, 0])),
+        (lateral_deviation, (UNKNOWN.reshape(30, 2), [1, 0])),
+    ],
+)
+def test_where_there_is_nothing_to_see_there_is_no_number(measured, arguments):
+    assert np.isnan(measured(*arguments)).all()
+
+
+def test_probes_that_nobody_saw_are_left_out_of_the_width():
+    curve = 20 * np.exp(-((ROUND - 180) ** 2) / (2 * 60**2))
+    blind = np.where(ROUND == 90, np.nan, curve)
+    assert generalization_width(blind, ROUND - 180) == pytest.approx(60, rel=1e-3)
+
+
 def learning_in(schedule, learner, kinds="", rest=0):
     perturbations, clamps = schedule
     adaptation, errors = simulate_learners(learner, perturbations, clamps)
@@ -131,6 +170,22 @@ def test_measures_of_an_experiment():
     assert found["savings"] > 1.0  # the slow state is still there
     assert [found[name] for name in TWO_STATES] == pytest.approx(list(LEARNER), abs=2e-3)
     assert np.isnan([found["width"], found["clamp_asymptote"]]).all()
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_what_is_retained_after_a_rest_is_of_its_block_however_short(after):
+    schedule = np.r_[NONE, TURN, np.full(after, -30.0), NONE]
+    learning = learning_in((schedule, np.nan), LEARNER, rest=180)
+    curve = learning.adaptation[0]
+    expected = curve[180 : 180 + after].mean() / curve[170:180].mean()
+    assert measure_learning(learning)["retention"] == pytest.approx(expected)
+
+
+def test_who_turns_with_the_perturbation_has_no_rate_of_learning():
+    learning = learning_in((np.r_[NONE, TURN], np.nan), LEARNER)
+    wrong = replace(learning, adaptation=-learning.adaptation)
+    assert np.isfinite(measure_learning(learning)["rate"])
+    assert np.isnan(measure_learning(wrong)["rate"])
 
 
 def test_measures_of_a_clamp():

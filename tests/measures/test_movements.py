@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mmc_gym.measures import reaching, speed
+from mmc_gym.measures import measure_all, reaching, sets, speed
 from mmc_gym.measures.episode import hand_speed, moving_part
 from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.network.time_base import minimum_jerk
@@ -191,3 +191,31 @@ def test_smoothness_ignores_duration_and_punishes_a_second_submovement():
     assert smoothness(authors_own, 0.01) == pytest.approx(-1.41403, abs=5e-6)
     assert smoothness(bell(120)) == pytest.approx(smoothness(bell(60)), abs=0.02)
     assert smoothness(np.concatenate([bell(60), 0.5 * bell(60)])) < smoothness(bell(60)) - 0.1
+
+
+@pytest.mark.parametrize(
+    ("measured", "arguments"),
+    [
+        (speed.count_peaks, ([math.nan] * 4,)),
+        (speed.peakedness, ([math.nan] * 4,)),
+        (speed.phase_of_peak, ([],)),
+        (speed.correlation_with_minimum_jerk, ([math.nan] * 4,)),
+        (reaching.largest_retreat, ([],)),
+        (reaching.linearity_index, (np.zeros((0, 2)),)),
+        (reaching.linearity_index, (np.zeros((1, 2)),)),
+        (reaching.arrival_time, ([], 0.1, 0.02)),
+        (sets.posture_spread, ([[0.0, 1.0]],)),
+        (sets.posture_spread, (np.full((3, 2), math.nan),)),
+    ],
+)
+def test_what_is_unknown_or_empty_has_no_value(measured, arguments):
+    assert math.isnan(measured(*arguments))
+
+
+def test_a_hand_that_nobody_saw_succeeded_nowhere_and_has_no_path(make_episode):
+    unseen = make_episode(np.full((11, 2), math.nan), np.zeros((11, 2)))
+    values = measure_all(unseen)
+    shares = {values.pop(name) for name in ("success", "success_1_percent")}
+    not_of_the_hand = {"episode_return", "joint_effort", "joint_work", "action_time"}
+    assert shares == {0.0} and not reaching.stays_within([], 0.1)
+    assert all(math.isnan(values[name]) for name in values.keys() - not_of_the_hand)
