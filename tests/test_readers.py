@@ -15,6 +15,7 @@ from mmc_gym._files import YAML_MOST, read_yaml
 from mmc_gym.agents import resolve
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
+from mmc_gym.benchmark import trials
 from mmc_gym.benchmark.experiment import TRIALS_MOST, Block, Experiment, find_experiment
 from mmc_gym.benchmark.store import Kept, read_table, to_parquet
 from mmc_gym.network import LearnedNormalizer
@@ -44,11 +45,9 @@ def a_store(tmp_path):
     return file
 
 
-def with_settings(file, change):
-    """Let a file of trials have changed settings, with checksums that fit."""
+def with_settings(file, settings):
+    """Let a file of trials have other settings, with checksums that fit."""
     table, kept = read_table(file.read_bytes())
-    settings = json.loads(json.dumps(kept.settings))
-    change(settings)
     columns = dict(zip(table.column_names, table.columns))
     file.write_bytes(to_parquet(columns, Kept(settings, kept.facts)))
 
@@ -68,20 +67,20 @@ def test_names_in_an_experiment_are_perturbations_and_nothing_else(name, bait, t
 
 
 @pytest.mark.parametrize("name", NAMES[:3])
-def test_a_report_looks_up_what_a_file_of_trials_names(name, bait, tmp_path):
+def test_what_a_file_of_trials_names_is_looked_up(name, bait, tmp_path):
     file = a_store(tmp_path)
-
-    def change(settings):
-        settings["experiment"]["blocks"][0]["perturbations"] = [name]
-
-    with_settings(file, change)
-    with pytest.raises(UserError, match="is not accepted"):
+    settings = json.loads(json.dumps(read_table(file.read_bytes())[1].settings))
+    settings["experiment"]["blocks"][0]["perturbations"] = [name]
+    with_settings(file, settings)
+    with pytest.raises(UserError, match="damaged"):  # its name has a digest of its settings
         write_report(tmp_path, tmp_path / "report.html")
+    with pytest.raises(UserError, match="is not accepted"):
+        trials._result([read_table(file.read_bytes())])
 
 
 def test_a_parquet_of_another_kind_is_refused_by_name(tmp_path):
     file = a_store(tmp_path)
-    with_settings(file, dict.clear)
+    with_settings(file, {})
     with pytest.raises(UserError, match=file.name):
         write_report(tmp_path, tmp_path / "report.html")
 

@@ -6,6 +6,7 @@ An agent sees only observations; besides, it is given a `ReachInterface`.
 from __future__ import annotations
 
 import inspect
+import math
 import traceback
 import warnings
 from abc import ABC, abstractmethod
@@ -97,7 +98,10 @@ def function_agent(function: Callable[[Any], Any]) -> Predictor:
 def with_whole_signature(agent: Any) -> Predictor:
     """Return the agent; or one that calls its `predict` with the observation alone."""
     if refusal(agent.predict, None, None, None, deterministic=True):
-        return function_agent(agent.predict)
+        whole: Any = function_agent(agent.predict)
+        if hasattr(agent, "between_trials"):
+            whole.between_trials = agent.between_trials
+        return cast(Predictor, whole)
     return cast(Predictor, agent)
 
 
@@ -138,6 +142,11 @@ class Agent(ABC, Generic[State]):
         Returns:
             The action, float32 within −1 and 1, and the state for the next call.
         """
+
+    def begin(self, seeds: Sequence[int]) -> State | None:
+        """Return the state in which episodes of these seeds begin; None if nothing is drawn."""
+        del seeds
+        return None
 
     @property
     def learns(self) -> bool:
@@ -379,8 +388,11 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
         warnings.warn(message, MismatchWarning, stacklevel=4)
 
 
-class RandomAgent(Agent[None]):
-    """Draws every action uniformly from an action space, by default −1 to 1 for each joint."""
+class RandomAgent(Agent[tuple[np.random.Generator, ...]]):
+    """Draws every action uniformly from an action space, by default −1 to 1 for each joint.
+
+    From a state of `begin` each arm has draws of its own; without one, all have them in common.
+    """
 
     def __init__(self, interface: ReachInterface, space: Any = None) -> None:
         self._interface, ones = interface, np.ones(len(interface.segment_lengths))
@@ -389,14 +401,22 @@ class RandomAgent(Agent[None]):
         self._random = np.random.default_rng(0)
 
     @override
+    def begin(self, seeds: Sequence[int]) -> tuple[np.random.Generator, ...]:
+        return tuple(np.random.default_rng(seed) for seed in seeds)
+
+    @override
     def predict(
         self,
         observation: Observation,
-        state: None = None,
+        state: tuple[np.random.Generator, ...] | None = None,
         episode_start: Started = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], None]:
-        check_no_state(state)
-        batch = self._interface.sense(observation).joint_angles.shape[:-1]
-        actions = self._random.uniform(self._low, self._high, (*batch, len(self._low)))
-        return actions.astype(np.float32), None
+    ) -> tuple[NDArray[np.float32], tuple[np.random.Generator, ...] | None]:
+        shape = (*self._interface.sense(observation).joint_angles.shape[:-1], len(self._low))
+        if not (isinstance(state, tuple) and len(state) == math.prod(shape[:-1]) > 0):
+            check_no_state(state)
+            actions = self._random.uniform(self._low, self._high, shape)
+        else:
+            drawn = np.reshape([one.random(shape[-1]) for one in state], shape)
+            actions = self._low + (self._high - self._low) * drawn
+        return actions.astype(np.float32), state

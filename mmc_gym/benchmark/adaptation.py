@@ -7,6 +7,7 @@ mean over the drawn subjects, and a measure is one of that curve.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -244,8 +245,9 @@ def learning_table(
     """Return a row for each agent and each measure that some agent has a value of.
 
     Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
-    missing and source.  A measure that people have a published figure of in such an experiment has
-    a row of the agent "people", too, with a source; see `beside_people`.
+    missing, source and settings (see `settings_of`).  A measure that people have a published figure
+    of in such an experiment has a row of the agent "people", too, with a source; see
+    `beside_people`.
 
     With `lengths_in` "m" lengths are metres, for an arm as long as a person's.
     """
@@ -269,7 +271,22 @@ def learning_table(
             rows.append({"agent": agent, "measure": one.name, **facts, **interval, **count})
     table = pd.DataFrame(rows)
     has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
-    return beside_people(table[has_values], result.experiment.family)
+    whole = beside_people(table[has_values], result.experiment.family)
+    return whole.assign(settings=whole["agent"].map(settings_of(result)).fillna(""))
+
+
+def settings_of(result: ExperimentResult) -> dict[str, str]:
+    """Return the rate and retention of each agent that has them, and which keep all, in words."""
+    found = {}
+    for row in result.trials.drop_duplicates("agent").to_dict("records"):
+        texts = [f"{name} {row[name]}" for name in ("rate", "retention") if row.get(name)]
+        found[row["agent"]] = ", ".join(texts + ["keeps all"] * bool(row.get("keeps_all")))
+    return found
+
+
+def settings_note(settings: Mapping[str, str]) -> str:
+    """Return a sentence for each agent with settings."""
+    return "".join(f" {agent}: {text}." for agent, text in settings.items() if text)
 
 
 def beside_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
@@ -291,6 +308,10 @@ def beside_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
 
 def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
     """Print a `learning_table`: a row for each measure, a column for each agent and people."""
+    console = console or make_console()
+    if table.empty:
+        console.print("No agent has a value of any measure of learning here.")
+        return
     facts = table.drop_duplicates("measure").set_index("measure")
     units = (f"\n[{unit}]" if unit else "" for unit in facts["unit"])
     columns = {}
@@ -299,7 +320,8 @@ def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
         columns[str(agent)] = [cells.get(name, "–") for name in facts.index]
     headings = {"": [label + unit for label, unit in zip(facts["label"], units)]}
     note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
-    print_columns(console or make_console(), headings, columns, note)
+    note += settings_note(dict(zip(table["agent"], table["settings"], strict=True)))
+    print_columns(console, headings, columns, note)
 
 
 def _printed(row: Any) -> str:
@@ -337,11 +359,12 @@ def learning_figure(
             panel.tick_params(labelleft=column == 0)
         result.experiment.plot_timeline(above)
         above.set_xlabel("")
-        for number, agent in enumerate(result.trials["agent"].unique()):
+        for number, (agent, settings) in enumerate(settings_of(result).items()):
             learning = learning_of(result, agent)
             style = LINES[(number + number // len(COLOURS)) % len(LINES)]
             colour = COLOURS[number % len(COLOURS)]
-            below.plot([], [], color=colour, linestyle=style, label=agent)
+            label = f"{agent} ({settings})" if settings else agent
+            below.plot([], [], color=colour, linestyle=style, label=label)
             _draw_curve(below, learning, colour, style, resamples)
         for begin in np.flatnonzero(np.diff(learning.blocks)) + 0.5:
             below.axvline(begin, color="0.8", linewidth=0.8, zorder=0)

@@ -115,7 +115,7 @@ def compare(
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     chosen = _focus(found, [focus] if isinstance(focus, str) else focus)
     found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
-    seeds = episode_seeds(seed, episodes)
+    seeds, seed = episode_seeds(seed, episodes), int(seed)
     if out is not None:
         out = check_folder(out, "out")
     scenario = played_scenario(env, given, interface)

@@ -119,12 +119,24 @@ class Block:
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
         """Return the probe of each trial, or None; their places are drawn."""
-        random, found = np.random.default_rng(seed), list[Probe | None]([None] * self.trials)
+        random = np.random.default_rng(seed)
+        found: list[tuple[Probe, int] | None] = [None] * self.trials  # and its first place
+
+        def put(probe: Probe, first: int, tried: set[int]) -> bool:
+            group = [one for one in range(first, first + probe.every) if one not in tried]
+            free = [one for one in group if found[one] is None]
+            for place in [random.choice(free)] if free else group:
+                tried.add(place)
+                other = found[place]
+                if other is None or put(*other, tried):  # else another moves on, within its group
+                    found[place] = probe, first
+                    return True
+            return False
+
         for probe in self.probes:
             for first in range(0, self.trials - probe.every + 1, probe.every):
-                group = range(first, first + probe.every)
-                found[random.choice([one for one in group if found[one] is None])] = probe
-        return found
+                put(probe, first, set())
+        return [one and one[0] for one in found]
 
 
 class PlannedTrial(NamedTuple):

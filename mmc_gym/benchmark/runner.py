@@ -247,7 +247,7 @@ def benchmark(
     asked = given.pop("control", None)
     scenarios = find_scenarios(environments, given, interface)
     found = resolve_all(agents, allow_pickle=allow_pickle)
-    episode_seeds(seed, episodes)
+    episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
     check_workers(jobs, cluster)
     store = check_folder(out, "out")
     begun = update_manifest(store, partial(_joined, store, scenarios, found, episodes, seed))

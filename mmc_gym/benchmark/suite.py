@@ -54,6 +54,9 @@ SCENARIOS: dict[str, Scenario] = {
 }
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 
+SET_BY_SCENARIOS = ("task", "perturbations", "max_episode_steps")
+"""Arguments of environments that scenarios and experiments set, so that nobody else may."""
+
 TOGETHER = 1_000  # episodes that are played at once, at most: bounds the memory
 
 Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
@@ -79,7 +82,7 @@ def find_scenarios(
     _forget_vectors()
     chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
     for one in chosen.values():
-        one.refuse(given, "task", "perturbations", "max_episode_steps")
+        one.refuse(given, *SET_BY_SCENARIOS)
     for one in found:  # a strength that this arm cannot have is refused at once
         if one.env is None:
             make_environment(one.name, **given).close()

@@ -6,12 +6,18 @@ What a trial holds depends on the experiment, the agent and the subject's own se
 subjects there are.  An agent that keeps nothing from trial to trial plays all its trials at once.
 In a folder every cell is one file, written atomically: an interrupted run resumes, and subjects and
 agents can be added.
+
+    trials/AGENT--EXPERIMENT.DIGEST.FIRST-LAST.parquet    the trials of some subjects
+    trials/AGENT--EXPERIMENT.DIGEST.json                  how many subjects there must be
+
+The digest is that of all settings but the subjects, so no run overwrites one of other settings.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -27,12 +33,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mmc_gym._errors import UserError, require_choice, require_whole
+from mmc_gym._errors import UserError, require_choice, require_whole, shown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
-from mmc_gym.agents.body_model.agent import BodyAgent
+from mmc_gym.agents.body_model.agent import BodyAgent, Parts
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.adaptation import (
     LengthUnit,
@@ -40,16 +46,16 @@ from mmc_gym.benchmark.adaptation import (
     learning_table,
     print_learning,
 )
-from mmc_gym.benchmark.experiment import Experiment, find_experiment
+from mmc_gym.benchmark.experiment import Experiment, PlannedTrial, find_experiment
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
-from mmc_gym.benchmark.suite import make_player
+from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
-RECORDING = 1
+RECORDING = 2
 """Version of recordings; when it changes, all cells are played again."""
 
 _SUBJECTS = 20  # in a cell, at most
@@ -66,7 +72,8 @@ class ExperimentResult:
     #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
     #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (of the last
     #: perturbation, 0 without), probe (empty for usual trials), target_angle (degrees), start_x,
-    #: start_y (of the hand), go_step (control step of the go cue)
+    #: start_y (of the hand), go_step (control step of the go cue), and how the agent went through:
+    #: rate and retention (of its states, separated by commas; empty without), keeps_all
     trials: pd.DataFrame
     hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
     cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
@@ -114,10 +121,14 @@ class TrialsCell:
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def stem(self) -> str:
+        """First part of the names of its files, another one for other settings."""
+        return _stem(self.agent.label, self.settings)
+
+    @property
     def file_name(self) -> str:
         """Name of its file."""
-        subjects = f"{self.subjects.start}-{self.subjects.stop - 1}"
-        return CellKey(self.agent.label, None, f"{self.experiment.name}.{subjects}").file_name
+        return _file_name(self.stem, self.subjects)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -130,8 +141,28 @@ class TrialsCell:
             "experiment": asdict(cast(Any, self.experiment)),
             **{name: getattr(self, name) for name in names},
         }
-        found: dict[str, Any] = json.loads(json.dumps(settings, default=list))
+        found: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
         return found
+
+    def checked(self, known: set[str]) -> TrialsCell:
+        """Return the cell without parts that its agent lacks; refuse what cannot be played.
+
+        Arguments of environments that are `known` to be playable are not tried again.
+        """
+        player, arguments = self.player()
+        phases = {_condition(one): one.phase for one in self.experiment.schedule}
+        for condition, phase in phases.items() if repr(arguments) not in known else ():
+            try:
+                MMCReachEnv(**_world(self.experiment, condition, arguments)).close()
+            except UserError as error:
+                where = f"{phase!r} of the experiment {self.experiment.name}"
+                raise UserError(f"{where} cannot be played: {error}") from error
+        known.add(repr(arguments))
+        return self if self.has_parts(player) else replace(self, parts={})
+
+    def has_parts(self, player: Any) -> bool:
+        """Return whether the parts are those of its agent; yours stay as you made them."""
+        return isinstance(player, BodyAgent) and bool(self.agent.name)
 
     def player(self) -> tuple[Any, Mapping[str, Any]]:
         """Return the agent, and the arguments of its environments; refuse one that cannot act."""
@@ -139,12 +170,58 @@ class TrialsCell:
         given = {} if limit is None else {"torque_limit": limit}
         given |= self.env_kwargs
         scenario = Scenario("centre-out", "", self.experiment.task())
+        player: Any
         made, player = make_player(self.agent, scenario, given)
         with closing(made):
             given["control"] = read_attribute(made, "control")
-        if isinstance(player, BodyAgent) and self.agent.name:  # yours stay as you made them
+        if self.has_parts(player):
             player.parts = replace(player.parts, **self.parts, vigour=self.experiment.vigour)
         return player, given
+
+
+def _stem(agent: str, settings: Mapping[str, Any]) -> str:
+    """Return the first part of the names of an agent's files."""
+    shared = json.dumps({**settings, "subjects": None}, sort_keys=True)
+    digest = hashlib.sha256(shared.encode()).hexdigest()[:8]
+    return f"{CellKey(agent, None, settings['experiment']['name']).stem}.{digest}"
+
+
+def _file_name(stem: str, subjects: range) -> str:
+    return f"{stem}.{subjects.start}-{subjects.stop - 1}.parquet"
+
+
+def _in_files(subjects: int) -> Iterator[range]:
+    """Return which subjects are in one file, and in one cell."""
+    for first in range(0, subjects, _SUBJECTS):
+        yield range(first, min(first + _SUBJECTS, subjects))
+
+
+def _subjects_in(plan: Path) -> int:
+    """Return how many subjects a plan asks for, 0 without one."""
+    try:
+        return require_whole("subjects", json.loads(plan.read_bytes())["subjects"])
+    except FileNotFoundError:
+        return 0
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise UserError(f"{plan} is damaged, remove it: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Return a value for JSON."""
+    return value.item() if isinstance(value, np.generic) else list(value)
+
+
+def _condition(one: PlannedTrial) -> tuple[Any, ...]:
+    return one.perturbations, one.go_cue, one.target_jump
+
+
+def _world(
+    experiment: Experiment, condition: tuple[Any, ...], arguments: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the arguments of the environment of a condition."""
+    perturbations, go_cue, jump = condition
+    given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
+    return {**given, "perturbations": [*experiment.noise, *perturbations]}
 
 
 def run_cell(cell: TrialsCell) -> bytes:
@@ -160,9 +237,7 @@ def run_cell(cell: TrialsCell) -> bytes:
     @lru_cache(maxsize=8)
     def world(condition: tuple[Any, ...], arms: int) -> Any:
         """Return the environment of a condition."""
-        perturbations, go_cue, jump = condition
-        given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
-        given["perturbations"] = [*experiment.noise, *perturbations]
+        given = _world(experiment, condition, arguments)
         env = MMCReachEnv(**given)
         seconds = experiment.trial_seconds + max(one.go_cue for one in experiment.blocks)
         steps = round(seconds / env.parameters.control_step)
@@ -175,6 +250,8 @@ def run_cell(cell: TrialsCell) -> bytes:
         env = world(conditions[pairs[0][1]], len(pairs))
         options = [{"trial": experiment.directions.index(angles[of][at])} for of, at in pairs]
         own = [seeds[subject][trial] for subject, trial in pairs]
+        if state is None and isinstance(player, Agent):
+            state = player.begin(own)
         episodes, state = run_trial(player, env, own, options, state)
         for pair, one in zip(pairs, episodes, strict=True):
             each = {"hands": one.hands, "cursors": one.seen_hands, "targets": one.targets}
@@ -186,13 +263,13 @@ def run_cell(cell: TrialsCell) -> bytes:
 
     def play_in_turn(player: Any, subjects: Sequence[int]) -> None:
         """Play all trials of some subjects in their order, with what the agent keeps."""
-        state = None
+        state, keep = None, getattr(player, "between_trials", lambda state, rest: None)
         for one in schedule:
             if one.trial and not cell.keeps_all:
-                state = player.between_trials(state, one.rest) if is_agent else None
+                state = keep(state, one.rest)
             state = play(player, [(subject, one.trial) for subject in subjects], state)
 
-    conditions = [(one.perturbations, one.go_cue, one.target_jump) for one in schedule]
+    conditions = [_condition(one) for one in schedule]
     if not is_agent:
         for subject in range(count):
             play_in_turn(cell.player()[0], [subject])
@@ -216,9 +293,17 @@ def run_cell(cell: TrialsCell) -> bytes:
         "target_angle": np.ravel(angles),
         "start_x": starts[:, 0],
         "start_y": starts[:, 1],
+        **{name: [one] * len(starts) for name, one in _settings_shown(cell).items()},
         **{name: _lists(values) for name, values in paths.items()},
     }
     return to_parquet(columns, Kept(cell.settings, {"control_step": step}))
+
+
+def _settings_shown(cell: TrialsCell) -> dict[str, Any]:
+    """Return how an agent goes through an experiment, as columns of its trials."""
+    shares = {name: cell.parts.get(name, ()) for name in ("rate", "retention")}
+    texts = {name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares}
+    return {**texts, "keeps_all": cell.keeps_all}
 
 
 def _lists(paths: NDArray[np.float32]) -> pa.Array:
@@ -265,28 +350,32 @@ def run_experiment(
     <rotation-30: ik-dls, 1 subjects each>
     """
     experiment, given = find_experiment(experiment), dict(env_kwargs or {})
-    require_whole("subjects", subjects)
-    require_whole("seed", seed, least=0)
+    subjects, seed = require_whole("subjects", subjects), require_whole("seed", seed, least=0)
+    Scenario(experiment.name, "").refuse(given, *SET_BY_SCENARIOS)
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])
     folder = None if out is None else check_folder(out, "out") / TRIALS
-    parts = {"rate": tuple(np.ravel(rate)), "retention": tuple(np.ravel(retention))}
-    cells = [
+    shares: Any = [one if np.iterable(one) else (one,) for one in (rate, retention)]
+    parts = Parts(rate=shares[0], retention=shares[1])  # checks them, and makes them floats
+    known: set[str] = set()
+    checked = [
         TrialsCell(
             agent=agent,
             experiment=experiment,
-            subjects=range(first, min(first + _SUBJECTS, subjects)),
+            subjects=range(subjects),
             seed=seed,
             keeps_all=agent.label in keep,
-            parts=parts,
+            parts={"rate": parts.rate, "retention": parts.retention},
             env_kwargs=given,
-        )
+        ).checked(known)  # what cannot be played is refused before anything is
         for agent in found
-        for first in range(0, subjects, _SUBJECTS)
     ]
-    for cell in cells:
-        cell.player()  # what cannot act is refused before anything is played
+    cells = [replace(one, subjects=some) for one in checked for some in _in_files(subjects)]
+    for one in checked if folder else ():  # before play: a file that is missing later is noticed
+        plan = cast(Path, folder) / f"{one.stem}.json"
+        if _subjects_in(plan) < subjects:
+            write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
     kept = [_content(folder / cell.file_name, cell) if folder else None for cell in cells]
     missing = [number for number, content in enumerate(kept) if content is None]
     on_progress(len(cells) - len(missing), len(cells))
@@ -299,27 +388,32 @@ def run_experiment(
 
     played = [cells[number] for number in missing]
     run_grid(run_cell, played, jobs=jobs, on_result=keep_file)
-    return _result([_read(content) for content in kept if content is not None])
+    return _result([read_table(content) for content in kept if content is not None])
 
 
 def _content(path: Path, cell: TrialsCell) -> bytes | None:
     """Return a cell's file; None if it is missing, damaged, or of other settings."""
     try:
         content = path.read_bytes()
-        _, found = _read(content)
+        _, found = _read(path, content)
     except (FileNotFoundError, UserError):
         return None
     return content if found.settings == cell.settings else None
 
 
-def _read(content: bytes) -> _Cell:
+def _read(path: Path, content: bytes) -> _Cell:
+    """Return the table and the settings in a file of trials; one of another name is damaged."""
     try:
         table, kept = read_table(content)
         if "experiment" not in kept.settings:
             raise ValueError("it holds no trials of an experiment")
-        return table, kept
-    except (OSError, pa.ArrowException, ValueError) as error:
-        raise UserError(f"a file of trials is damaged, remove it: {error}") from error
+        first, *_, last = kept.settings["subjects"] * 2
+        name = _file_name(_stem(table["agent"][0].as_py(), kept.settings), range(first, last + 1))
+        if name != path.name:
+            raise ValueError(f"it is {name}")
+    except (OSError, pa.ArrowException, ValueError, LookupError, TypeError) as error:
+        raise UserError(f"{path} is damaged, remove it: {error}") from error
+    return table, kept
 
 
 def _result(cells: Sequence[_Cell]) -> ExperimentResult:
@@ -338,21 +432,54 @@ def _result(cells: Sequence[_Cell]) -> ExperimentResult:
 def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """Return the results of all experiments that a store holds, in the order of their names.
 
-    Where an agent went through an experiment with fewer subjects first, those with more count.
-    A file that is damaged, or of other settings than the others, raises a `UserError`.
+    Raises:
+        UserError: if a file is missing or damaged; if agents went through experiments of one name
+            that differ, or one agent did with different settings.
     """
-    alike: dict[str, dict[Any, _Cell]] = {}
-    settings: dict[str, Any] = {}
-    for path in sorted((Path(folder) / TRIALS).glob("[!.]*.parquet")):
-        cell = table, kept = _read(path.read_bytes())
-        own = {name: kept.settings[name] for name in ("experiment", "seed", "env_kwargs")}
-        name = own["experiment"]["name"]
-        if settings.setdefault(name, own) != own:
-            raise UserError(
-                f"{path} must be of the same settings as the others of {name}; remove one of them"
-            )
-        cells = alike.setdefault(name, {})
-        key = table["agent"][0].as_py(), kept.settings["subjects"][0]
-        if len(table) > len(cells.get(key, ((), None))[0]):
-            cells[key] = cell
-    return [_result([*alike[name].values()]) for name in sorted(alike)]
+    found: dict[str, list[_Cell]] = {}
+    first: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}
+    for path in _planned_files(Path(folder) / TRIALS):
+        table, kept = cell = _read(path, path.read_bytes())
+        name, agent = kept.settings["experiment"]["name"], table["agent"][0].as_py()
+        stem, settings = _stem(agent, kept.settings), {**kept.settings, "subjects": None}
+        shared = {one: settings[one] for one in ("experiment", "seed", "env_kwargs")}
+        for who, own in (((agent, name), settings), ((name,), shared)):
+            other, theirs = first.setdefault(who, (stem, own))
+            if differences := "; ".join(_differences(theirs, own)):
+                raise UserError(
+                    f"{path.parent} must hold {' in '.join(who)} of the same settings, got "
+                    f"{differences}: remove {other}.* or {stem}.*, and play it into another folder "
+                    "or under another name (LABEL=...)"
+                )
+        found.setdefault(name, []).append(cell)
+    return [_result(found[name]) for name in sorted(found)]
+
+
+def _planned_files(folder: Path) -> Iterator[Path]:
+    """Return the files of trials that a store must hold; refuse one without a plan."""
+    plans = sorted(folder.glob("[!.]*.json"))
+    for path in sorted(folder.glob("[!.]*.parquet")):
+        beside = f"{path.name.rsplit('.', 2)[0]}.json"
+        if folder / beside not in plans:
+            raise UserError(f"{path} must have its {beside} beside it, as this version writes it")
+    for plan in plans:
+        for some in _in_files(_subjects_in(plan)):
+            path = plan.with_name(_file_name(plan.stem, some))
+            if not path.is_file():
+                raise UserError(
+                    f"{path} is missing: the same `mmc-gym adapt` makes it anew; to leave these "
+                    f"trials out remove {plan.stem}.*"
+                )
+            yield path
+
+
+def _differences(one: Any, other: Any, name: str = "") -> Iterator[str]:
+    """Return the entries in which settings differ, with both values."""
+    if isinstance(one, list) and any(isinstance(each, dict) for each in one):
+        one, other = dict(enumerate(one)), dict(enumerate(other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in dict.fromkeys([*one, *other]):
+            inner = f"{name}.{key}" if name not in ("", "parts") else str(key)
+            yield from _differences(one.get(key), other.get(key), inner)
+    elif one != other:
+        yield f"{name} {shown(one)} and {shown(other)}"

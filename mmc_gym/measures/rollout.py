@@ -43,8 +43,8 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     A larger number of episodes begins with the same seeds.  (With seed, seed + 1, … as the seeds of
     episodes, neighbouring seeds would share nearly all episodes.)
     """
-    require_whole("episodes", episodes, most=MOST_EPISODES)
-    require_whole("seed", seed, least=0, most=math.inf)
+    episodes = require_whole("episodes", episodes, most=MOST_EPISODES)
+    seed = require_whole("seed", seed, least=0, most=math.inf)
     return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
 
 
@@ -109,6 +109,7 @@ def run_episodes(
     require(fine, "env", env, "an environment, such as gym.make('MMCReach-v0')")
     fine = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
     require(fine, "seeds", seeds, "whole numbers of at least 0, one per episode")
+    seeds = [int(seed) for seed in seeds]
     asked = [{}] * len(seeds) if options is None else options
     fine = isinstance(asked, Sequence) and all(isinstance(one, Mapping) for one in asked)
     fine = fine and len(asked) == len(seeds)

@@ -362,6 +362,8 @@ def _kept(mine: pd.DataFrame, measure: SetMeasure) -> TableCell:
 
 def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     """Return the measures of learning of agents in an experiment, below those of people."""
+    from mmc_gym.benchmark.adaptation import settings_note, settings_of  # takes long, as matplotlib
+
     name, measures = result.experiment.name, result.measures
     facts = measures.drop_duplicates("measure").to_dict("records")
     rows = []
@@ -378,7 +380,8 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
         (Heading("agent"), *(Heading(one["label"], one["unit"]) for one in facts)),
         tuple(sorted(rows, key=lambda row: row.name != PEOPLE)),
         f"Of the mean over {count(result.trials['subject'].nunique(), 'subject')}; below, 95 % "
-        f"bootstrap intervals over subjects; –: no value.{tasks and ' People:' + tasks}",
+        f"bootstrap intervals over subjects; –: no value.{settings_note(settings_of(result))}"
+        f"{tasks and ' People:' + tasks}",
     )
 
 

@@ -84,7 +84,7 @@ def play(agents, out, environments=ENVS, episodes=4, jobs=1, **arguments):
 def played(tmp_path_factory):
     """The store of a benchmark of mmc and the ideal hand, and its manifest; not to be changed."""
     out = tmp_path_factory.mktemp("played")
-    return out, play(["mmc", REFERENCE], out)
+    return out, play(["mmc", REFERENCE], out, episodes=np.int64(4))
 
 
 @pytest.fixture

@@ -77,7 +77,8 @@ def test_a_scenario_is_played_by_its_name():
 def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_path, frozen):
     agents = {"frozen": frozen, "random": "random"}
     for folder in ("a/new", "b/new"):
-        found = compare(agents, episodes=4, seed=5, out=tmp_path / folder, console=console())
+        counts = {"episodes": np.int64(4), "seed": np.int64(5)}
+        found = compare(agents, **counts, out=tmp_path / folder, console=console())
         assert {path.name for path in (tmp_path / folder).iterdir()} == FILES
     (episodes, again), (summary, other) = (
         [pd.read_csv(tmp_path / folder / "new" / f"{name}.csv") for folder in "ab"]

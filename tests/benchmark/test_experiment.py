@@ -96,3 +96,15 @@ def test_what_is_no_experiment_is_refused():
     ):
         with pytest.raises(UserError, match=message):
             Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})
+
+
+@pytest.mark.parametrize("every", [(2, 3, 7), (7, 3, 2), (2, 4, 5), (3, 3, 4)])
+def test_probes_of_any_share_find_a_place_in_each_of_their_groups(every) -> None:
+    probes = tuple(Probe(str(one), one) for one in every)
+    block = Block("a", 84, ("rotation-30",), probes=probes)
+    for seed in range(30):
+        found = block.probes_by_trial(seed)
+        for probe in set(probes):
+            groups = range(0, 84 - probe.every + 1, probe.every)
+            counts = [found[one : one + probe.every].count(probe) for one in groups]
+            assert counts == [probes.count(probe)] * len(counts)

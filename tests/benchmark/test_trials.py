@@ -1,10 +1,13 @@
 """Facts about agents in experiments: what is recorded, kept from trial to trial, and resumed."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.base import Agent
@@ -12,6 +15,7 @@ from mmc_gym.benchmark import trials
 from mmc_gym.benchmark.experiment import Block, Experiment, Probe
 from mmc_gym.benchmark.trials import ExperimentResult, read_experiments, run_experiment
 from mmc_gym.interface import ReachInterface
+from mmc_gym.report import write_report
 
 SHORT = Experiment(
     "short",
@@ -72,11 +76,14 @@ def test_a_row_says_what_happened_in_a_trial() -> None:
 
 
 def test_subjects_are_the_same_however_many_there_are() -> None:
-    few = run_experiment(SHORT, ["mmc-body", "ppo"], subjects=2, jobs=1)
-    many = run_experiment(SHORT, ["mmc-body", "ppo"], subjects=3, jobs=1)
+    agents = ["mmc-body", "ppo", "random"]
+    few = run_experiment(SHORT, agents, subjects=2, jobs=1)
+    many = run_experiment(SHORT, agents, subjects=3, jobs=1)
     chosen = (many.trials["subject"] < 2).to_numpy()
     assert np.array_equal(few.hands, many.hands[chosen])
-    assert not np.array_equal(many.hands[6:12], many.hands[12:18])
+    drawn = many.hands[(many.trials["agent"] == "random").to_numpy()]
+    for hands in (many.hands, drawn):
+        assert not np.array_equal(hands[6:12], hands[12:18])
 
 
 def test_what_an_agent_keeps_is_handed_to_its_next_trial() -> None:
@@ -85,6 +92,16 @@ def test_what_an_agent_keeps_is_handed_to_its_next_trial() -> None:
     assert ways[0] < 1e-6
     assert (np.argsort(ways) == range(6)).all()
     assert ways[2] > 4 * ways[1]  # after a rest
+
+
+@pytest.mark.parametrize("signature", ["whole", "of the observation alone"])
+def test_any_object_is_asked_what_it_keeps_between_trials(signature) -> None:
+    rests = []
+    action = np.zeros(3, np.float32)
+    predict = (lambda *_, **__: (action, 7)) if signature == "whole" else lambda seen: (action, 7)
+    own = SimpleNamespace(predict=predict, between_trials=lambda *given: rests.append(given))
+    run_experiment(SHORT, {"own": lambda env: own}, subjects=1, jobs=1)
+    assert rests == [(7, 0.0), (7, 5.0), (7, 0.0), (7, 0.0), (7, 0.0)]
 
 
 def test_an_agent_that_keeps_nothing_plays_all_trials_at_once_as_one_by_one(monkeypatch) -> None:
@@ -116,7 +133,7 @@ def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkey
     resumed = run_experiment(SHORT, ["mmc", "ik-dls"], subjects=2, out=tmp_path, jobs=1)
     assert [cell.agent.label for cell in played] == ["ik-dls"]
     assert are_equal(whole, resumed)
-    next(tmp_path.glob("trials/mmc*")).write_bytes(b"PAR1")
+    next(tmp_path.glob("trials/mmc*.parquet")).write_bytes(b"PAR1")
     run_experiment(SHORT, ["mmc"], subjects=2, out=tmp_path, jobs=1)
     assert [cell.agent.label for cell in played] == ["ik-dls", "mmc"]
     (stored,) = read_experiments(tmp_path)
@@ -131,3 +148,110 @@ def test_a_trial_that_ends_before_its_jump_shows_no_correction() -> None:
         short = Experiment("jumps", (block,), trial_seconds=seconds)
         measures = run_experiment(short, ["ik-dls"], subjects=1, jobs=1).measures["measure"]
         assert ({"latency", "gain"} <= set(measures)) == seen
+
+
+def test_runs_of_other_settings_overwrite_nothing_and_are_not_mixed(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(trials, "_SUBJECTS", 2)
+    agents = ["mmc-body", "ik-dls"]
+    fast = run_experiment(SHORT, agents, subjects=3, out=tmp_path, rate=0.9, jobs=1)
+    slow = run_experiment(SHORT, agents, subjects=2, out=tmp_path, rate=0.05, jobs=1)
+    assert len(list(tmp_path.glob("trials/ik-dls--*.parquet"))) == 2  # it has no rate
+    with pytest.raises(UserError, match=r"mmc-body in short .*got rate \[0\.\d+\] and \[") as error:
+        read_experiments(tmp_path)
+    stems = re.findall(r"(mmc-body--short\.[0-9a-f]{8})\.\*", str(error.value))
+    of_fast = [one for one in stems if len(list(tmp_path.glob(f"trials/{one}.*.parquet"))) == 2]
+    for path in list(tmp_path.glob(f"trials/{of_fast[0]}.*")):
+        path.unlink()
+    (stored,) = read_experiments(tmp_path)
+    rates = {name: set(of["rate"]) for name, of in stored.trials.groupby("agent")}
+    assert rates == {"mmc-body": {"0.05"}, "ik-dls": {""}}
+    assert set(fast.trials["rate"]) == {"0.9", ""}
+    is_body = [(one.trials["agent"] == "mmc-body").to_numpy() for one in (stored, slow)]
+    assert np.array_equal(stored.hands[is_body[0]], slow.hands[is_body[1]])
+
+
+@pytest.mark.parametrize("change", ["seed", "keep", "env_kwargs", "experiment", "source"])
+def test_whatever_differs_is_named(tmp_path: Path, change) -> None:
+    other: dict = {"seed": {"seed": 1}, "keep": {"keep": ["agent"]}}.get(change, {})
+    if change == "env_kwargs":
+        other = {"env_kwargs": {"speed_limit": 5.0}}
+    experiment = replace(SHORT, noise=()) if change == "experiment" else SHORT
+    run_experiment(SHORT, {"agent": "mmc"}, subjects=1, out=tmp_path, jobs=1)
+    source = "ik-dls" if change == "source" else "mmc"
+    run_experiment(experiment, {"agent": source}, subjects=1, out=tmp_path, jobs=1, **other)
+    with pytest.raises(UserError, match=f"got .*{change}.* and "):
+        read_experiments(tmp_path)
+
+
+def test_how_agents_went_through_is_stated_wherever_they_are(tmp_path: Path) -> None:
+    shares = {"rate": (0.2, 0.02), "retention": (0.6, 1)}
+    agents = ["mmc-body", "ppo-memory"]
+    result = run_experiment(SHORT, agents, 1, 0, tmp_path, keep=["ppo-memory"], jobs=1, **shares)
+    told = "rate 0.2, 0.02, retention 0.6, 1"
+    (drawn,) = result.plot().legends
+    console = Console(record=True, width=300)
+    result.print(console)
+    report = write_report(tmp_path, tmp_path / "report.md", format="md").read_text()
+    for text in (drawn.get_texts()[0].get_text(), console.export_text(), report):
+        assert told in text
+    written = [path.read_text() for path in result.write(tmp_path) if path.suffix == ".csv"]
+    assert all("0.2, 0.02" in text for text in written)
+    assert "keeps all" in report and set(result.trials["keeps_all"]) == {False, True}
+
+
+def test_a_file_that_was_removed_is_named(tmp_path: Path) -> None:
+    run_experiment(SHORT, ["mmc", "ik-dls"], subjects=1, out=tmp_path, jobs=1)
+    (removed,) = tmp_path.glob("trials/mmc--*.parquet")
+    content = removed.read_bytes()
+    removed.unlink()
+    with pytest.raises(UserError, match=f"{removed.name} is missing"):
+        read_experiments(tmp_path)
+    (copied,) = tmp_path.glob("trials/ik-dls--*.parquet")
+    removed.write_bytes(copied.read_bytes())
+    with pytest.raises(UserError, match=f"{removed.name} is damaged, .* it is ik-dls"):
+        read_experiments(tmp_path)
+    removed.write_bytes(content)
+    assert len(read_experiments(tmp_path)) == 1
+    plan = next(tmp_path.glob("trials/mmc--*.json"))
+    plan.write_text("[" * 100_000)
+    with pytest.raises(UserError, match=f"{plan.name} is damaged"):
+        read_experiments(tmp_path)
+    plan.unlink()
+    with pytest.raises(UserError, match=f"must have its {plan.name}"):
+        read_experiments(tmp_path)
+
+
+def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Path) -> None:
+    kinds = [(0.5, 0.0, 1, 2), (np.float32(0.5), 0, np.int64(1), np.int64(2)), ([0.5], [0], 1, 2)]
+    for rate, retention, subjects, seed in kinds:
+        given = {"rate": rate, "retention": retention, "out": tmp_path}
+        run_experiment(SHORT, ["mmc-body"], subjects, seed, jobs=1, **given)
+    assert len(list(tmp_path.glob("trials/*.parquet"))) == 1
+    with pytest.raises(UserError, match="rate must be"):
+        run_experiment(SHORT, ["mmc-body"], rate=True)
+
+
+def test_what_cannot_be_played_is_refused_before_anything_is(monkeypatch) -> None:
+    monkeypatch.setattr(trials, "run_cell", lambda cell: pytest.fail("played"))
+    for names, gradual, message in (
+        (("delay-40",), True, "'b' of .* delay-5.71 would delay nothing"),
+        (("rotation-30", "clamp-0"), False, "at most one rotation"),
+        (("pursuit+rotation-30",), False, "pursuit"),
+    ):
+        with pytest.raises(UserError, match=message):
+            blocks = (Block("a", 2), Block("b", 7, names, gradual=gradual))
+            run_experiment(Experiment("x", blocks), ["ik-dls"], 1, jobs=1)
+    for name in ("perturbations", "task", "max_episode_steps"):
+        with pytest.raises(UserError, match=f"{name} must be left out"):
+            run_experiment(SHORT, ["ik-dls"], 1, jobs=1, env_kwargs={name: ["rotation-90"]})
+
+
+def test_an_experiment_without_any_measure_is_printed_and_reported(tmp_path: Path) -> None:
+    plain = Experiment("plain", (Block("baseline", 4, targets=(0.0,)),), trial_seconds=0.3)
+    result = run_experiment(plain, ["ik-dls"], 1, out=tmp_path, jobs=1)
+    console = Console(record=True)
+    result.print(console)
+    assert "No agent has a value" in console.export_text()
+    result.write(tmp_path)
+    for kind in ("html", "md"):
+        assert "ik-dls" in write_report(tmp_path, tmp_path / "report", format=kind).read_text()

@@ -77,7 +77,8 @@ def test_under_a_rotation_the_distance_is_the_cursors(oracle):
 
 def test_an_episode_depends_on_its_own_seed_only_even_if_actions_are_sampled(env):
     agent = SimpleNamespace(predict=lambda *_, **__: (env.action_space.sample(), None))
-    first, second = run_episodes(agent, env, [1, 2])
+    first, second = run_episodes(agent, env, np.arange(1, 3))
+    assert type(first.seed) is int
     (alone,) = run_episodes(agent, env, [2])
     assert np.array_equal(second.hands, alone.hands)
     # Seeded alike, action space and environment draw the same: the posture that the arm is in.
