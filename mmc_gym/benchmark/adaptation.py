@@ -413,7 +413,8 @@ def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resampl
         means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
         places = [one.mean() for one in cycles]
         axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
-        ends = np.quantile(means[1:], TAILS, axis=0)
-        axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
+        if len(means) > 1:  # a single subject has no band
+            ends = np.quantile(means[1:], TAILS, axis=0)
+            axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
     catches = np.flatnonzero(learning.kinds == "catch")
     axes.plot(catches, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)

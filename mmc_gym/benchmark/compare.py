@@ -239,7 +239,9 @@ class Comparison:
                     what = what if one.estimate else "equal to"
                     if math.isfinite(one.estimate):
                         found.setdefault((what, measure.interval(*ends)), []).append(other)
-                texts = [f"{what} {', '.join(them)} {by}" for (what, by), them in found.items()]
+                texts = [
+                    f"{what} {', '.join(them)} {by}".rstrip() for (what, by), them in found.items()
+                ]
                 if texts:
                     lines.append(f"{agent}, {measure.label}: {'; '.join(texts)}")
         return "\n".join(lines)

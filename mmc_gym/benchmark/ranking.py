@@ -186,7 +186,8 @@ def _cells(row: Mapping[Hashable, Any], shows_lost: bool, compared: bool) -> dic
 
 
 def _with_interval(row: Mapping[Hashable, Any], name: str) -> str:
-    return f"{number(row[name], 3)}\n{interval(row[f'{name}_low'], row[f'{name}_high'], 3)}"
+    ends = interval(row[f"{name}_low"], row[f"{name}_high"], 3)
+    return f"{number(row[name], 3)}\n{ends}".rstrip()
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:

@@ -20,6 +20,8 @@ Episodes of one policy are never drawn as if each came from its own training.
     seeds         A seed is one policy: it is drawn in all environments or in none.
     no training   An untrained agent has one policy, so only instances are drawn.  A single trained
                   policy is treated alike: its interval does not cover other trainings.
+    one value     A single policy with values at a single instance has no interval: all draws give
+                  the same value, which says nothing about others.
 
 A plain sample is the simplest case: one policy in one environment (`bootstrap_interval`).
 
@@ -235,7 +237,18 @@ class Bootstrap:
                 sums = [_weighted_sums(draws, pairs, table) for table in (wins, compared)]
                 with np.errstate(invalid="ignore"):
                     total += (sums[0] / sums[1]).sum(axis=1)
-        return Estimate.of(total / len(self.instances))
+        return Estimate.of(self._where_it_varies(total / len(self.instances), agent, other))
+
+    def _where_it_varies(self, found: Floats, *agents: str) -> Floats:
+        """Return a distribution, its resamples NaN if they cannot vary for one of the agents."""
+        for agent in agents:
+            known = [~np.isnan(table) for table in self.scores.values[agent]]
+            policies = np.any([one.any(axis=1) for one in known], axis=0).sum()
+            drawn = [np.flatnonzero(one.any(axis=0)) for one in known]
+            places = {(one.shape[1], *some) for one, some in zip(known, drawn) if some.size}
+            if policies == len(places) == max(map(len, drawn)) == 1:
+                found[1:] = np.nan
+        return found
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and of each agent the tables whose environments share it.
@@ -247,7 +260,13 @@ class Bootstrap:
             yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
 
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
-        """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
+        """Return an agent's statistic in the data, then in each resample, (R + 1,).
+
+        The resamples of a single value are NaN.
+        """
+        return self._where_it_varies(self._resampled(agent, statistic), agent)
+
+    def _resampled(self, agent: str, statistic: PooledStatistic) -> Floats:
         tables, policies = self.scores.values[agent], self.policies[agent]
         if statistic == "mean":
             total, weight = np.zeros((2, len(policies)))
@@ -366,7 +385,7 @@ def bootstrap_interval(
     table = np.asarray(values, dtype=np.float64)
     is_sample = table.ndim == 1
     present, missing = _present(table)
-    if present.size < (2 if is_sample else 1):
+    if not present.size:
         return _no_interval(present, missing)
     if is_sample:
         table = present[None]
@@ -383,9 +402,10 @@ def resampled_means(samples: ArrayLike, resamples: int = RESAMPLES, seed: int = 
     """Return the mean over a sample (n, ...), then that of each resample, (R + 1, ...).
 
     NaNs are left out.  Whatever is computed from each row has the `percentile_interval` of its rows
-    but the first, such as a fit to a mean curve.
+    but the first, such as a fit to a mean curve.  A sample of one is not resampled: (1, ...).
     """
     table = np.asarray(samples, dtype=np.float64)
+    resamples = resamples if len(table) > 1 else 0
     counts = _counts((seed, _INSTANCES, len(table)), len(table), resamples)
     present = ~np.isnan(table)
     with np.errstate(invalid="ignore"):

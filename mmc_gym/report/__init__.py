@@ -143,10 +143,9 @@ def _headline(results: Results) -> str:
     for row in results.ranking.to_dict("records"):
         if row["agent"] in results.focus:
             interval = success.interval(row["success_low"], row["success_high"])
-            said.append(
-                f"{row['agent']} ends at the target in {success.quantity(row['success'])} of its "
-                f"episodes {interval}, rank {row['rank']} of {len(results.ranking)}."
-            )
+            share = f"{success.quantity(row['success'])} of its episodes {interval}".rstrip()
+            rank = f"rank {row['rank']} of {len(results.ranking)}"
+            said.append(f"{row['agent']} ends at the target in {share}, {rank}.")
     return " ".join(said)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -160,14 +161,15 @@ def _compared(found: Mapping[str, Floats], agent: str, other: str) -> TableCell:
     if other not in found:
         return TableCell("·")
     less = Estimate.of(found[agent] - found[other])
-    ends = [100 * end for end in (less.estimate, less.low, less.high)]
-    middle, low, high = map(_signed, ends)
+    ends = f" [{_signed(less.low)}, {_signed(less.high)}]" if math.isfinite(less.low) else ""
     look = "better" if less.low > 0 else "worse" if less.high < 0 else ""
-    return TableCell(_SUCCESS.number(found[other][0]), (f"{middle} [{low}, {high}]",), look=look)
+    notes = (f"{_signed(less.estimate)}{ends}",)
+    return TableCell(_SUCCESS.number(found[other][0]), notes, look=look)
 
 
-def _signed(value: float) -> str:
-    text = f"{value:+.1f}"
+def _signed(share: float) -> str:
+    """Return a difference of fractions in percent, with its sign."""
+    text = f"{100 * share:+.1f}"
     return text.replace("-", "−") if float(text) else "0.0"
 
 

@@ -104,6 +104,13 @@ def test_lengths_are_in_metres_where_asked_for():
         learning_table(pushed, 20, "cm")
 
 
+def test_a_single_subject_has_no_interval_and_no_band():
+    alone = played(15.0, subjects=1, family="clamp", called="clamp-15")
+    table = learning_table(alone, 20)
+    assert table.loc[table["agent"] != PEOPLE, ["low", "high"]].isna().all(axis=None)
+    assert not learning_figure(alone, table, resamples=20).axes[1].collections
+
+
 def test_people_stand_beside_agents_in_an_experiment_that_they_did():
     known = played(15.0, family="clamp", called="clamp-15")
     table = learning_table(known, 20)

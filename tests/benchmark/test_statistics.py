@@ -12,6 +12,7 @@ from mmc_gym.benchmark.statistics import (
     Scores,
     arrange,
     bootstrap_interval,
+    resampled_means,
     success_interval,
     weighted_iqm,
 )
@@ -31,7 +32,7 @@ def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
     assert weighted_iqm(values, weights).min() >= 0
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (10, 40)])
+@pytest.mark.parametrize("shape", [(5, 1), (1, 50), (10, 40)])
 @pytest.mark.parametrize("lacking", [0.0, 0.4, 1.0])
 def test_the_median_of_one_environment_is_that_of_its_resamples(shape, lacking):
     random = np.random.default_rng(0)
@@ -67,6 +68,31 @@ def test_missing_values_are_left_out_and_counted():
     assert one.estimate == 2.0 and math.isnan(one.low) and math.isnan(one.high)
     equal = bootstrap_interval(np.full(50, 0.1), "mean")  # rounding leaves no width
     assert (equal.low, equal.estimate, equal.high) == (0.1, 0.1, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("tables", "has_interval"),
+    [
+        ([[[1.0]]], False),
+        ([[[1.0, math.nan, math.nan]]], False),
+        ([[[1.0]], [[0.0]]], False),  # both environments share the draw
+        ([[[1.0], [math.nan]]], False),
+        ([[[1.0], [0.0]]], True),
+        ([[[1.0, 0.0]]], True),
+        ([[[1.0, math.nan]], [[math.nan, 0.0]]], True),
+    ],
+)
+def test_a_value_that_no_draw_can_change_has_no_interval(tables, has_interval):
+    values = tuple(map(np.array, tables))
+    agents = {name: values for name in "ab"}
+    scores = Scores(tuple(table.shape[1] for table in values), agents, dict.fromkeys(agents, 0))
+    bootstrap = Bootstrap(scores, 100)
+    found = [bootstrap.estimate("a", statistic) for statistic in ("mean", "iqm")]
+    found += [bootstrap.difference("a", "b"), bootstrap.improvement("a", "b")]
+    if len(tables) == 1:
+        found += [bootstrap.estimate("a", "median"), bootstrap_interval(tables[0], "median")]
+    assert {math.isfinite(one.low) for one in found} == {has_interval}
+    assert resampled_means([[1.0, 2.0]]).tolist() == [[1.0, 2.0]]
 
 
 def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():

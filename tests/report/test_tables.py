@@ -12,6 +12,7 @@ from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.measures import SET_MEASURES
 from mmc_gym.report import tables, write_report
 from mmc_gym.report.replay import replay
+from mmc_gym.report.results import read_results
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
@@ -77,6 +78,17 @@ def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
     race = {name: cells[numbers["time to target"]] for name, cells in by_agent.items()}
     assert not race["mmc"].best
     assert any(one.best for one in race.values())
+
+
+def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store, tmp_path):
+    make_store(tmp_path, ["mmc", "mmc-body", "ik-dls"], ("rotation-60", "random"), instances=1)
+    results = read_results(tmp_path, 50, ["mmc"])
+    cells = [cell for row in tables.scenario_table(results, "mmc").rows for cell in row.cells]
+    cells += [cell for row in tables.ranking_table(results).rows for cell in row.cells]
+    assert not any("[" in note for one in cells for note in one.notes)
+    assert not {"better", "worse"} & {one.look for one in cells}
+    text = write_report(tmp_path, tmp_path / "report.html", 50, focus=["mmc"]).read_text()
+    assert "in 50.0 % of its episodes, rank 1 of 3." in text and "nan" not in str(cells)
 
 
 def test_agents_keep_the_laws_beside_people(results):
