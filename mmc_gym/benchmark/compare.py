@@ -276,7 +276,7 @@ class Comparison:
         one, shown = next(iter(self.recorded.values())), self._shown
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         timed = MEASURES["action_time"]
-        of_all = ", ".join(one.label for one in shown if not (one.successes_only or one == timed))
+        of_all = ", ".join(one.label for one in shown if not (one.successes_only or one.sampled))
         reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
         differences = (
             f"Differences are of the same episodes of both ({MEASURES['time_to_target'].label}: "

@@ -202,7 +202,7 @@ def episode_return(episode: Episode) -> float:
     return float(np.sum(episode.rewards))
 
 
-@measure(label="time per action", unit="µs", best="low", decimals=1, shown=True)
+@measure(label="time per action", unit="µs", best="low", decimals=1, shown=True, sampled=True)
 def action_time(episode: Episode) -> float:
     """Return the median time of one call of `predict`, µs; NaN for an episode without steps."""
     times = episode.action_times * 1e6

@@ -267,14 +267,17 @@ def _column(
     """Return the cell of each agent that has played a scenario, by name.
 
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
-    ever arrives could win with a few short movements.
+    ever arrives could win with a few short movements.  Any value is enough for a `sampled` measure.
     """
-    present = _present(scores)
+    shares = {name: 1 - float(np.isnan(own).mean()) for name, (own,) in scores.values.items()}
+    present = {name: math.ceil(one) if measure.sampled else one for name, one in shares.items()}
     values = {agent: measure.number(one.estimate) for agent, one in found.items()}
     racing = [
         agent
         for agent in found
-        if present[agent] >= PRESENT and results.kind(agent) not in ("ideal", "baseline")
+        if present[agent] >= PRESENT
+        and math.isfinite(found[agent].estimate)
+        and results.kind(agent) not in ("ideal", "baseline")
     ]
     best = ""
     if measure.best != "neither" and racing:
@@ -285,25 +288,12 @@ def _column(
             values[agent],
             _notes(
                 measure.interval(one.low, one.high),
-                f"{100 * present[agent]:.0f} %" if 0 < present[agent] < 1 else "",
+                f"{number(min(100 * present[agent], 99), 0)} %" if 0 < present[agent] < 1 else "",
             ),
             best=agent in racing and values[agent] == best,
         )
         for agent, one in found.items()
     }
-
-
-def _present(scores: Scores) -> dict[str, float]:
-    """Return the share of its episodes in which each agent has a value, by name.
-
-    Count only instances where some agent has a value, because few record the time per action.
-    """
-    known = {agent: ~np.isnan(tables[0]) for agent, tables in scores.values.items()}
-    anyone = np.any([table.any(axis=0) for table in known.values()], axis=0)
-    if not anyone.any():
-        return dict.fromkeys(known, 0.0)
-    count = np.count_nonzero
-    return {agent: count(one & anyone) / (len(one) * count(anyone)) for agent, one in known.items()}
 
 
 def _notes(*notes: str) -> tuple[str, ...]:

@@ -99,10 +99,9 @@ def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) ->
     """
     rows = episodes[episodes["agent"].isin(pair)]
     has_value = rows[measure.name].notna()
-    # Few episodes record the time per action, so count only instances where either has a value.
-    either = has_value.groupby(rows["instance"]).transform("any")
-    shares = has_value[either].groupby(rows.loc[either, "agent"]).mean()
-    if shares.reindex(list(pair), fill_value=0.0).min() < PRESENT:
+    shares = has_value.groupby(rows["agent"]).mean()
+    fewest = 0.0 if measure.sampled else PRESENT
+    if shares.reindex(list(pair), fill_value=0.0).min() < fewest:
         return None
     has_both = rows[has_value].groupby("instance")["agent"].nunique().eq(2)
     common = has_both.index[has_both]

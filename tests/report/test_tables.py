@@ -80,6 +80,37 @@ def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
     assert any(one.best for one in race.values())
 
 
+def test_one_lucky_success_is_never_the_best(results):
+    here = results.episodes["environment"] == "rotation-15"
+    first = results.episodes["instance"] == 0
+    lucky = here & first & (results.episodes["agent"] == "mmc")
+    shown = ["time_to_target", "action_time"]
+    times = results.episodes[shown].astype(float)
+    times.loc[here & ~lucky, "time_to_target"] = math.nan
+    times.loc[lucky, "time_to_target"] = 0.1
+    times.loc[here & ~first, "action_time"] = math.nan  # of all agents, whatever they do
+    episodes = results.episodes.assign(**times)
+    measures = tuple(one for one in results.measures if one.name in shown)
+    table = tables.score_table(
+        replace(results, episodes=episodes, measures=measures), "rotation-15"
+    )
+    race = {row.name: row.cells[0] for row in table.rows}
+    assert race["mmc"][:3] == ("0.10", ("7 %",), False)
+    assert {race[name][:3] for name in race if name != "mmc"} == {("–", (), False)}
+    timed = {row.name: row.cells[1] for row in table.rows}
+    assert any(one.best for one in timed.values())
+    assert not any("%" in note for one in timed.values() for note in one.notes)
+
+
+def test_a_value_that_is_not_finite_is_never_the_best(results):
+    rows = results.episodes.assign(final_distance=results.episodes["final_distance"].astype(float))
+    rows.loc[rows["agent"] == "mmc", "final_distance"] = -math.inf
+    measures = tuple(one for one in results.measures if one.name == "final_distance")
+    table = tables.score_table(replace(results, episodes=rows, measures=measures), "rotation-15")
+    best = {row.name: row.cells[0].text for row in table.rows if row.cells[0].best}
+    assert best and "–" not in best.values()
+
+
 def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store, tmp_path):
     make_store(tmp_path, ["mmc", "mmc-body", "ik-dls"], ("rotation-60", "random"), instances=1)
     results = read_results(tmp_path, 50, ["mmc"])
