@@ -4,9 +4,11 @@
                   training seeds) that end at the target; agents with the same success by time to
                   target, the mean over environments of its median over the episodes that have one
     settled       part of an episode in which the hand stays at the target, its interquartile mean:
-                  1 − time to target / duration, 0 if it never stays
+                  1 − time to target / duration, 0 if it never stays; NaN in an environment that
+                  says that a hand arrives, but not when
     improvement   probability that the agent's policy is settled for longer than the baseline's in
-                  the same episode; ½ for the baseline itself, and for a copy of it
+                  the same episode; ½ for the baseline itself, and for a copy of it; over the
+                  environments in which both have values
 
 All environments that all agents have attempted count, with equal weight whatever their number of
 instances.  An agent that could not act, or failed, had no success.  Agents with the same success
@@ -102,7 +104,9 @@ def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ())
     """
     played = episodes[episodes["agent"] != REFERENCE]
     scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
-    scores["settled"] = (1 - played["time_to_target"] / played["duration"]).fillna(0.0)
+    settled = 1 - played["time_to_target"] / played["duration"]
+    unknown = set(played.loc[settled.isna() & (played["success"] > 0), "environment"])
+    scores["settled"] = settled.fillna(0.0)
     instances = {
         name: sorted(set(group["instance"])) for name, group in scores.groupby("environment")
     }
@@ -116,6 +120,7 @@ def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ())
     if empty:
         scores = pd.concat([scores, pd.DataFrame(empty)], ignore_index=True)
         scores["training_seed"] = scores["training_seed"].astype("Int64")
+    scores.loc[scores["environment"].isin(unknown), "settled"] = np.nan
     return scores
 
 

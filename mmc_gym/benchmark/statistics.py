@@ -221,13 +221,13 @@ class Bootstrap:
         """Estimate the probability that a policy of `agent` scores higher than one of `other`.
 
         Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of each,
-        at the same instance.  Pairs in which a score is NaN are left out.  ½ for an agent and its
-        copy.
+        at the same instance.  Pairs in which a score is NaN are left out, and environments without
+        any.  ½ for an agent and its copy.
         """
         weights = self.policies[agent][:, :, None] * self.policies[other][:, None]
         pairs = weights.reshape(len(weights), -1)
         at_once = max(1, _COLUMNS // pairs.shape[1])
-        total = np.zeros(len(pairs))
+        total, counted = np.zeros((2, len(pairs)))
         for draws, ours, others in self._sharing(agent, other):
             for begin in range(0, len(ours), at_once):
                 some = slice(begin, begin + at_once)
@@ -236,8 +236,11 @@ class Bootstrap:
                 wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
                 sums = [_weighted_sums(draws, pairs, table) for table in (wins, compared)]
                 with np.errstate(invalid="ignore"):
-                    total += (sums[0] / sums[1]).sum(axis=1)
-        return Estimate.of(self._where_it_varies(total / len(self.instances), agent, other))
+                    shares = sums[0] / sums[1]
+                total += np.nansum(shares, axis=1)
+                counted += (~np.isnan(shares)).sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            return Estimate.of(self._where_it_varies(total / counted, agent, other))
 
     def _where_it_varies(self, found: Floats, *agents: str) -> Floats:
         """Return a distribution, its resamples NaN if they cannot vary for one of the agents."""

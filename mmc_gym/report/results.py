@@ -213,9 +213,9 @@ class Results:
         trainings = (
             f" Trainings: {', '.join(several)}; of the others one or none." if several else ""
         )
-        each = "in each scenario" if len(instances) > 1 else ""
+        each = " in each scenario" if len(instances) > 1 else ""
         return (
-            f"Episodes {each}: {_span(instances)}, the same starts and targets for all.{trainings}"
+            f"Episodes{each}: {_span(instances)}, the same starts and targets for all.{trainings}"
         )
 
     @property

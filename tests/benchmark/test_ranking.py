@@ -64,6 +64,16 @@ def test_a_copy_ties_with_itself():
     assert ranking["training_seeds"].tolist() == [0, 0, 0]
 
 
+def test_nothing_is_said_of_times_that_an_environment_does_not_tell():
+    timed = [played(agent, "timed", [0.5, NAN, 0.7]) for agent in ("mmc", "other")]
+    untold = [played(agent, "untold", [NAN] * 3) for agent in ("mmc", "other")]
+    untold[0]["success"] = 1.0
+    alone, both = summary(*untold), summary(*timed, *untold)
+    assert alone[["settled", "settled_low", "improvement", "time_to_target"]].isna().all(axis=None)
+    expected = summary(*timed)[["settled", "settled_low", "improvement"]]
+    pd.testing.assert_frame_equal(both[expected.columns], expected.loc[both.index])
+
+
 def test_what_was_not_played_has_no_success():
     frames = [played("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
     broken = [CellKey("broken", None, name) for name in ("one", "two")]
