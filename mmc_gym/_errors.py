@@ -25,6 +25,8 @@ Class = TypeVar("Class", bound=type)
 Numbers = tuple[float, ...]
 _LONGEST_VALUE = 200  # characters
 _MOST = 2**31 - 1  # of anything that is counted
+SMALLEST_SIZE, LARGEST_SIZE = 1e-9, 1e9  # sizes that physics and rewards are computed with
+LONGEST = 1000.0  # s, of a delay
 
 
 class UserError(ValueError):
@@ -107,11 +109,11 @@ def require_positive(name: str, value: Any) -> float:
     return require_number(name, value, "positive and finite", lambda number: 0 < number < math.inf)
 
 
-def require_not_negative(**values: Any) -> None:
-    """Check that all values are finite and not negative."""
-    accepted = "finite and not negative"
+def require_between(least: float, most: float, **values: Any) -> None:
+    """Check that all values are numbers from `least` to `most`."""
     for name, value in values.items():
-        require_number(name, value, accepted, lambda number: 0 <= number < math.inf)
+        accepted = f"from {least:g} to {most:g}"
+        require_number(name, value, accepted, lambda number: least <= number <= most)
 
 
 def require_whole(name: str, value: Any, least: int = 1, most: float = _MOST) -> int:

@@ -49,7 +49,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require, require_not_negative, require_positive
+from mmc_gym._errors import LARGEST_SIZE, require, require_between, require_positive
 from mmc_gym.agents.base import InternalModelAgent
 from mmc_gym.agents.inverse_kinematics import hand_position, jacobian, leave_line
 from mmc_gym.interface import ReachInterface, Seen, Sensed, turned_back
@@ -77,7 +77,7 @@ class Assumptions:
     delay: float = 0.0  #: of the senses, s; rounded to control steps
 
     def __post_init__(self) -> None:
-        require_not_negative(**asdict(self))
+        require_between(0, LARGEST_SIZE, **asdict(self))
         for name in ("speed", "longest", "lag"):
             require_positive(name, getattr(self, name))
 

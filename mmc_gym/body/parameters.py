@@ -8,12 +8,13 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 from mmc_gym._errors import (
+    LARGEST_SIZE,
+    SMALLEST_SIZE,
     is_disc,
     is_point,
     require,
-    require_not_negative,
+    require_between,
     require_numbers,
-    require_positive,
     require_rows,
     require_whole,
     spelt,
@@ -21,7 +22,7 @@ from mmc_gym._errors import (
 
 Servo = Literal["position", "velocity", "torque"]
 _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
-_SMALLEST, _LARGEST, _MOST_SUBSTEPS = 1e-9, 1e9, 10_000  # what can be computed, and awaited
+_LONGEST_SUBSTEP, _LARGEST_TORQUE, _MOST_SUBSTEPS = 1.0, 1e30, 10_000
 
 
 class Rod(NamedTuple):
@@ -37,6 +38,9 @@ class Rod(NamedTuple):
 @dataclass(frozen=True)
 class ArmParameters:
     """Physical parameters of an arm, in segment lengths, segment masses, radians and seconds.
+
+    Lengths, masses, speeds and gains are from 1e-9 to 1e9 (drives and loads may be 0), torques up
+    to 1e30, and a substep lasts at most a second: with more, states would not stay finite.
 
     With the default limits the arm, stretched or folded, turns by 90° in 0.40 s to within 0.05 rad,
     and does not overshoot.
@@ -80,7 +84,7 @@ class ArmParameters:
     def __post_init__(self) -> None:
         # All fields become floats: arrays made from whole numbers would round later values.
         write = partial(object.__setattr__, self)
-        sizes = f"from {_SMALLEST:g} to {_LARGEST:g}"
+        sizes = f"from {SMALLEST_SIZE:g} to {LARGEST_SIZE:g}"
         accepted = f"positive and finite lengths {sizes}, one or more"
         lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_positive)
         write("segment_lengths", lengths)
@@ -95,18 +99,22 @@ class ArmParameters:
             is_plain = self.segment_masses is None
             heavier = self._stretched_inertias()[0] / _DEFAULT_INERTIA if is_plain else 1.0
             write("torque_limit", 500.0 * max(1.0, heavier))
-        for name in ("speed_limit", "torque_limit", "servo_gain", "substep", "segment_radius"):
-            write(name, require_positive(name, getattr(self, name)))
-        require_not_negative(drive_inertia=self.drive_inertia, hand_mass=self.hand_mass)
-        for name, least in (("speed_limit", _SMALLEST), ("substep", _SMALLEST), ("hand_mass", 0.0)):
-            value = getattr(self, name)
-            require(least <= value <= _LARGEST, name, value, f"from {least:g} to {_LARGEST:g}")
-        write("drive_inertia", float(self.drive_inertia))
-        write("hand_mass", float(self.hand_mass))
+        for name, least, most in (
+            ("speed_limit", SMALLEST_SIZE, LARGEST_SIZE),
+            ("torque_limit", SMALLEST_SIZE, _LARGEST_TORQUE),
+            ("servo_gain", SMALLEST_SIZE, LARGEST_SIZE),
+            ("segment_radius", SMALLEST_SIZE, LARGEST_SIZE),
+            ("substep", SMALLEST_SIZE, _LONGEST_SUBSTEP),
+            ("drive_inertia", 0.0, LARGEST_SIZE),
+            ("hand_mass", 0.0, LARGEST_SIZE),
+        ):
+            require_between(least, most, **{name: (value := getattr(self, name))})
+            write(name, float(value))
         require_whole("substeps", self.substeps, most=_MOST_SUBSTEPS)
         accepted = "two finite values (x, y)"
         gravity = require_numbers("gravity", self.gravity, accepted, is_point)
-        require(math.hypot(*gravity) <= _LARGEST, "gravity", gravity, f"at most {_LARGEST:g}")
+        accepted = f"at most {LARGEST_SIZE:g}"
+        require(math.hypot(*gravity) <= LARGEST_SIZE, "gravity", gravity, accepted)
         write("gravity", gravity)
         if self.joint_limits is not None:
             accepted = f"{count} pairs low < high within -pi and pi, one per joint"
@@ -185,7 +193,7 @@ class ArmParameters:
 
 
 def _are_positive(numbers: tuple[float, ...]) -> bool:
-    return len(numbers) > 0 and all(_SMALLEST <= number <= _LARGEST for number in numbers)
+    return len(numbers) > 0 and all(SMALLEST_SIZE <= number <= LARGEST_SIZE for number in numbers)
 
 
 def _is_range(numbers: tuple[float, ...]) -> bool:

@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import (
+    LARGEST_SIZE,
+    LONGEST,
     UserError,
     is_point,
     is_whole,
     nearest,
     require,
+    require_between,
     require_finite,
-    require_not_negative,
     require_number,
     require_numbers,
     require_positive,
@@ -141,7 +143,7 @@ class LockedJoint(Perturbation):
     told: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
 
     def __post_init__(self) -> None:
-        require_not_negative(time=self.time)
+        require_between(0, LONGEST, time=self.time)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -311,7 +313,7 @@ class JointNoise(Noise):
     _RATE: ClassVar[float] = 10.0  # 1/s
 
     def __post_init__(self) -> None:
-        require_not_negative(std=self.std, speed_std=self.speed_std)
+        require_between(0, LARGEST_SIZE, std=self.std, speed_std=self.speed_std)
 
     @override
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
@@ -335,7 +337,7 @@ class VisionNoise(Noise):
     distance_std: float = 0.0
 
     def __post_init__(self) -> None:
-        require_not_negative(std=self.std, distance_std=self.distance_std)
+        require_between(0, LARGEST_SIZE, std=self.std, distance_std=self.distance_std)
 
     @override
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
@@ -356,8 +358,7 @@ class SensoryDelay(Perturbation):
     seconds: float = 0.1  #: the delay, at most 1,000, rounded to control steps; several add
 
     def __post_init__(self) -> None:
-        require_not_negative(seconds=self.seconds)
-        require(self.seconds <= 1000, "seconds", self.seconds, "at most 1000")
+        require_between(0, LONGEST, seconds=self.seconds)
 
 
 def _index(name: str, index: int, count: int) -> int:

@@ -20,13 +20,14 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
+    LARGEST_SIZE,
     UserError,
     is_point,
     is_whole,
     require,
+    require_between,
     require_choice,
     require_known,
-    require_not_negative,
     require_numbers,
     require_rows,
 )
@@ -79,7 +80,9 @@ class ReachSetup:
         """Check the arguments, which `MMCReachEnv` lists."""
         require_choice("control", control, CONTROLS)
         require_choice("reward_type", reward_type, get_args(RewardType))
-        require_not_negative(
+        require_between(
+            0,
+            LARGEST_SIZE,
             control_weight=control_weight,
             precision_weight=precision_weight,
             smoothness_weight=smoothness_weight,

@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import (
+    LONGEST,
+    SMALLEST_SIZE,
     UserError,
     is_point,
     is_whole,
     nearest,
     require,
+    require_between,
     require_finite,
-    require_not_negative,
-    require_positive,
     require_rows,
     require_whole,
     spelt,
@@ -123,7 +124,7 @@ class DoubleStep(RandomTarget):
     delay: float = 0.1  #: when it jumps, s after the start
 
     def __post_init__(self) -> None:
-        require_not_negative(delay=self.delay)
+        require_between(0, LONGEST, delay=self.delay)
 
     @override
     def draw(self, request: Request) -> Trial:
@@ -224,7 +225,7 @@ class CuedTarget(PointToPoint):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.start is not None, "pairs", self.pairs, "with the same start")
-        require_not_negative(go_cue=self.go_cue, jump_time=self.jump_time)
+        require_between(0, LONGEST, go_cue=self.go_cue, jump_time=self.jump_time)
         require_finite("jump", self.jump)
 
     @override
@@ -259,7 +260,7 @@ class Pursuit(Task):
     amplitude: float = 0.3  #: sum of the amplitudes in x, and in y, as a fraction of the reach
 
     def __post_init__(self) -> None:
-        require_positive("period", self.period)
+        require_between(SMALLEST_SIZE, LONGEST, period=self.period)
         require_finite("amplitude", self.amplitude)
         for name in ("multiples_x", "multiples_y"):
             multiples = getattr(self, name)

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, require, require_not_negative
+from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.network.chain import Floats, triangle_products
 from mmc_gym.network.iteration import compile_iteration, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, require_plane
@@ -54,7 +54,7 @@ class Embodiment:
     joint_angles: Floats | None = None  #: of the locked joints, radians, (..., N)
 
     def __post_init__(self) -> None:
-        require_not_negative(weight=self.weight)
+        require_between(0, LARGEST_SIZE, weight=self.weight)
         if self.weight and self.sensed is None:
             raise UserError("sensed must be given if it has a weight, got None")
         if self.locked is not None and self.joint_angles is None:

@@ -38,7 +38,7 @@ from studies.tables import table_of
 ENV = "MMCReach-v0"
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
-    "idle lock": {"perturbations": LockedJoint(1, time=1e6)},
+    "idle lock": {"perturbations": LockedJoint(1, time=1e3)},
     "exact engine": {"engine": "analytic"},
     "half the substep": {"substep": 0.0025, "substeps": 8},
     "twice the sweeps": {},

@@ -1,7 +1,9 @@
 """Facts about MMCReach-v0 and MMCReachGoal-v0."""
 
 import math
+from dataclasses import fields, is_dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,10 +11,28 @@ from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
 from mmc_gym._errors import UserError
+from mmc_gym.body import ArmParameters
+from mmc_gym.envs import perturbations
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
 from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface, relative_speeds
 from mmc_gym.network.chain import segments_from_joint_angles
 
+EXTREME = (1e308, 1e9, 1e-9, 1e-320, -1e308, -0.0, math.inf, math.nan)
+SHAPES = {
+    "gravity": lambda value: (0.0, value),
+    "segment_lengths": lambda value: (1.0, value),
+    "segment_masses": lambda value: (1.0, 1.0, value),
+    "force_field": lambda value: ((value, 0.0), (0.0, value)),
+}
+NUMBERS = ["control_weight", "precision_weight", "smoothness_weight", "success_distance"]
+NUMBERS += [one.name for one in fields(ArmParameters) if one.type == "float"] + [*SHAPES]
+STRENGTHS = [
+    (cls, one.name)
+    for cls in vars(perturbations).values()
+    if is_dataclass(cls) and issubclass(cls, perturbations.Perturbation)
+    for one in fields(cls)
+    if one.type == "float"
+]
 same = partial(data_equivalence, exact=True)
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
 
@@ -210,11 +230,47 @@ def test_impossible_environments_are_refused():
         ("control", "torque", "control 'torque' .*; did you mean 'joint_torque'"),
         ("reward_type", "golden", r"reward_type 'golden' is not accepted\. It may be dense or sp"),
         ("render_mode", "ansi", r"render_mode 'ansi' is not accepted\. It may be None, human or"),
-        ("control_weight", "a", "control_weight must be finite and not negative, got 'a'"),
+        ("control_weight", "a", r"control_weight must be from 0 to 1e\+09, got 'a'"),
         ("n_segments", 4, "no argument 'n_segments'; did you mean 'segment_lengths'"),
     ):
         with pytest.raises(UserError, match=message):
             MMCReachEnv(**{name: value})
+
+
+def with_number(name, value):
+    """The arguments of an environment with this value of a number or of a perturbation's."""
+    if isinstance(name, str):
+        return {name: SHAPES.get(name, float)(value)}
+    cls, field = name
+    return {"perturbations": [cls(**{field: value})]}
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize("name", [*NUMBERS, *STRENGTHS], ids=str)
+def test_extreme_numbers_are_refused_or_leave_everything_finite(engine, name):
+    for value, control in product(EXTREME, ("joint_delta", "joint_torque")):
+        try:
+            env = MMCReachEnv(**with_number(name, value), engine=engine, control=control)
+        except UserError:
+            continue
+        env.reset(seed=0)
+        for turn in (1.0, 1.0, -1.0, 1.0):
+            observation, reward, *_ = env.step(np.full(env.action_space.shape, turn, np.float32))
+            assert np.isfinite([*observation, reward]).all(), (value, control)
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [
+        {"segment_lengths": (1e-9, 1.0, 1.0)},
+        {"segment_lengths": (1.0, 1.0, 1e9), "segment_masses": (1.0, 1e-9, 1e-9)},
+        {"segment_lengths": (1.0, 1e-6, 1.0), "hand_mass": 1e9},
+    ],
+)
+def test_the_analytic_engine_refuses_joints_that_it_cannot_tell_apart(arm):
+    with pytest.raises(UserError, match=r"drive_inertia must be larger .*, got 0\.0"):
+        MMCReachEnv(**arm, drive_inertia=0.0, engine="analytic")
+    assert MMCReachEnv(**arm, engine="analytic").reset(seed=0)
 
 
 def test_the_goal_environment_has_no_costs_and_goals_that_tell_the_reward():

@@ -113,7 +113,7 @@ def test_a_locked_arm_of_a_batch_does_not_touch_the_others_and_may_be_folded_to_
 
 def test_incomplete_knowledge_and_delayed_networks_are_refused():
     for schedule, knowledge, message in (
-        ("synchronous", {"weight": -1.0}, "weight must be finite and not negative, got -1"),
+        ("synchronous", {"weight": -1.0}, r"weight must be from 0 to 1e\+09, got -1"),
         ("synchronous", {"weight": 1.0}, "sensed must be given if it has a weight"),
         ("synchronous", {"locked": np.ones(3, bool)}, "joint_angles must be given if joints are"),
         ("delayed", {}, "schedule must be 'synchronous', got 'delayed'"),

@@ -31,6 +31,8 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
+_LEAST_INDEPENDENCE = 1e-14  # with less, rounding leaves mass matrices that are not positive
+
 Records = NDArray[np.void]
 
 
@@ -84,6 +86,19 @@ def _make_chain(parameters: ArmParameters, servo: Servo) -> Records:
     return chain
 
 
+def _independence(parameters: ArmParameters) -> float:
+    """Return the least eigenvalue of the stretched arm's mass matrix, of joints scaled to 1."""
+    lengths = parameters.segment_lengths
+    joints = np.cumsum([0.0, *lengths[:-1]])
+    matrix = np.zeros((len(lengths), len(lengths)))
+    for number, rod in enumerate(parameters.rods):
+        turns = np.arange(len(lengths)) <= number  # the joints that turn this segment
+        arms = turns * (joints[number] + rod.centre - joints)
+        matrix += rod.mass * np.outer(arms, arms) + rod.inertia * np.outer(turns, turns)
+    scale = np.sqrt(np.diag(matrix))
+    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+
+
 class AnalyticArmBatch(ArmBatch):
     """Arms of the analytic engine; see `ArmBatch`.
 
@@ -102,6 +117,13 @@ class AnalyticArmBatch(ArmBatch):
             "obstacles",
             self.parameters.obstacles,
             'empty for the analytic engine, which knows no collisions (use engine="pymunk")',
+        )
+        require(
+            _independence(self.parameters) > _LEAST_INDEPENDENCE,
+            "drive_inertia",
+            self.parameters.drive_inertia,
+            "larger for the analytic engine, or lengths and masses more alike: the movements of "
+            'the joints cannot be told apart (engine="pymunk" takes such arms)',
         )
         self._chain = _make_chain(self.parameters, self._servo)
         self._state, shown, self._no_work = _make_records(self._shape[1], self._count)
