@@ -360,7 +360,7 @@ def train(
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
         out: Folder for checkpoint and policy; runs/NAME-SEED, if not given.
-        resume: Continue from a checkpoint in the folder.
+        resume: Continue from the checkpoint in the folder, or begin if there is none.
         tensorboard: Folder for TensorBoard's logs.
         device: For PyTorch: cpu, cuda, cuda:1, auto.
     """
@@ -369,6 +369,9 @@ def train(
     from mmc_gym.training import training
 
     folder = out or Path("runs") / file_stem(Path(name).stem, seed)
+    checkpoint = folder / training.CHECKPOINT
+    if resume and not checkpoint.exists():
+        _told(f"nothing to resume, as there is no {checkpoint}: training begins")
     with progress_bar() as bar:
         task = bar.add_task(folder.name)
 

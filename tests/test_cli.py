@@ -22,8 +22,10 @@ def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
         "n_steps: 64}\n"
     )
     command = ["train", str(path), "--env", "MMCReach-v0", "--out", str(folder)]
-    main(command)
-    assert "ppo-mine-0.safetensors: success" in capsys.readouterr().out
+    main([*command, "--resume"])
+    said = capsys.readouterr()
+    nothing = f"nothing to resume, as there is no {folder / 'checkpoint.safetensors'}"
+    assert nothing in said.err and "ppo-mine-0.safetensors: success" in said.out
     first = (folder / "ppo-mine-0.safetensors").read_bytes()
     with pytest.raises(SystemExit) as stop:
         main(command)
@@ -31,6 +33,7 @@ def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
     assert "resume" in capsys.readouterr().err
     main([*command, "--resume"])
     assert (folder / "ppo-mine-0.safetensors").read_bytes() == first
+    assert "nothing to resume" not in capsys.readouterr().err
 
 
 def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, capsys):

@@ -100,15 +100,16 @@ class Training:
         return self.folder / f"{label}.safetensors", self.folder / f"{label}.json"
 
     def run(self, resume: bool = False) -> PolicyCard:
-        """Train, or resume a training, and write the policy.
+        """Train, or resume a training if there is a checkpoint, and write the policy.
 
         Raises:
-            FileExistsError: if there is a checkpoint or the policy, and `resume` is not set.
+            FileExistsError: if there is a checkpoint or the policy, and `resume` is not set; or the
+                policy without the checkpoint.
             UserError: also if the checkpoint is damaged or belongs to another training.
         """
         check_folder(self.folder, "out")
         for file in (self.checkpoint, *self.policy_files):
-            if file.exists() and not resume:
+            if file.exists() and not (resume and self.checkpoint.exists()):
                 hint = "resume it, or " if file == self.checkpoint else ""
                 raise FileExistsError(
                     f"{file} exists already: {hint}choose another folder, or delete it"

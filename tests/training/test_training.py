@@ -154,8 +154,9 @@ def test_tensorboard_gets_evaluations_and_the_returns_of_episodes(trained):
 def test_nothing_is_overwritten_unasked(trained, tmp_path, file):
     shutil.copy(trained / file, tmp_path)
     hint = "resume it, or choose another" if file == CHECKPOINT else "choose another folder, or del"
-    with pytest.raises(FileExistsError, match=rf"{file} exists already: {hint}"):
-        training("ppo", tmp_path).run()
+    for resume in (False, file != CHECKPOINT):  # a policy alone cannot be resumed
+        with pytest.raises(FileExistsError, match=rf"{file} exists already: {hint}"):
+            training("ppo", tmp_path).run(resume)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [(trained / file).read_bytes()]
 
 
