@@ -22,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 WIDTH = 120  # columns, without a terminal and without COLUMNS
+_NARROWEST = 40  # columns; fewer, such as COLUMNS=0, would leave out columns of tables
 _GAP = 2
 _NAME_WIDTH = 16  # of a column's heading; longer ones continue on the next line
 _ASCII = str.maketrans(
@@ -30,11 +31,12 @@ _ASCII = str.maketrans(
 )
 
 
-def make_console() -> Console:
-    """Return standard output, as wide as the terminal or COLUMNS says, 120 columns otherwise."""
-    console = Console()
+def make_console(*, stderr: bool = False) -> Console:
+    """Return an output, as wide as the terminal or COLUMNS says, 120 columns otherwise."""
+    console = Console(stderr=stderr)
     has_width = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
-    return console if has_width else Console(width=WIDTH)
+    fits = has_width and console.width >= _NARROWEST
+    return console if fits else Console(stderr=stderr, width=WIDTH)
 
 
 def progress_bar(*, auto_refresh: bool = True) -> Progress:
@@ -42,7 +44,7 @@ def progress_bar(*, auto_refresh: bool = True) -> Progress:
 
     With `auto_refresh` a thread draws, ten times a second; without it no thread disturbs timings.
     """
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),

@@ -42,6 +42,15 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
     assert found._repr_html_().count("<td>") == 3 * len(found)
 
 
+@pytest.mark.parametrize("columns", ["0", "1", "39"])
+def test_too_few_columns_for_a_table_are_none_at_all(columns, capsys, monkeypatch):
+    main(["list", "measures"])
+    expected = capsys.readouterr().out
+    monkeypatch.setenv("COLUMNS", columns)
+    main(["list", "measures"])
+    assert capsys.readouterr().out == expected != ""
+
+
 @pytest.mark.parametrize(
     "name",
     ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-told"],
