@@ -32,6 +32,7 @@ from mmc_gym.network.chain import Floats
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
 _MEET = 1e-4  # axes meet where they come this near to a point, m
+_SQUARE = 1e-6  # deviation of a rotation's product with its transpose from 1
 
 
 class ArmFrames(NamedTuple):
@@ -41,6 +42,22 @@ class ArmFrames(NamedTuple):
     axes: Floats  #: unit vectors of the hinges, (..., n, 3)
     points: Floats  #: the points on them that describe the arm, (..., n, 3)
     hand: Floats  #: pose of the hand, (..., 4, 4)
+
+
+def require_rotations(name: str, value: Floats) -> None:
+    """Raise a `UserError` for the first of some matrices (..., 3, 3) that is no rotation."""
+    matrices = value.reshape(-1, 9).tolist()  # numpy takes four times as long for one of them
+    for number, (a, b, c, d, e, f, g, h, i) in enumerate(matrices):
+        squares = abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1)
+        across = abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
+        gap = max(*squares, abs(g * g + h * h + i * i - 1), *across)
+        turn = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+        if not (gap <= _SQUARE and turn > 0):
+            index = [int(each) for each in np.unravel_index(number, value.shape[:-2])]
+            raise UserError(
+                f"{name} must be a rotation, orthogonal within {_SQUARE:g} and of determinant 1, "
+                f"but {name}{index or ''} is off by {gap:.2g} and has the determinant {turn:.4g}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +91,8 @@ class HingeArm:
         object.__setattr__(self, "axes", self.axes / lengths)
         below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
         require(below, "limits", self.limits, "pairs of a lower and a higher angle")
-        turn = self.home[:3, :3]
-        is_pose = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
-        is_pose = is_pose and np.array_equal(self.home[3], (0, 0, 0, 1))
+        require_rotations("home", self.home[:3, :3])
+        is_pose = np.array_equal(self.home[3], (0, 0, 0, 1))
         require(is_pose, "home", self.home, "a pose: a rotation, a position and the row 0, 0, 0, 1")
 
     @classmethod

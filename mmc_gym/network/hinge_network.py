@@ -60,7 +60,7 @@ from mmc_gym._errors import (
 )
 from mmc_gym.network import hinge_iteration
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.hinge_arm import HingeArm
+from mmc_gym.network.hinge_arm import HingeArm, require_rotations
 from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
 
 POOL = 128  # postures, of which the nearest to a task are its starts
@@ -151,7 +151,7 @@ class HingeNetwork:
 
         Args:
             position: of the hand, seen from the base, (..., 3).
-            rotation: of the hand, (..., 3, 3).
+            rotation: of the hand, (..., 3, 3); orthogonal within 1e-6.
             held: angles (...) of joints that do not move, by index of the joint; a locked joint, or
                 all of them for the forward task.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
@@ -171,7 +171,9 @@ class HingeNetwork:
         shapes += [one.shape[:-1] for one in places.values()]
         weight, turn = 0.0, np.zeros((3, 3))
         if rotation is not None:  # as a turn of the whole arm
-            turn = _floats("rotation", rotation, (3, 3)) @ arm.home[:3, :3].T
+            wanted = _floats("rotation", rotation, (3, 3))
+            require_rotations("rotation", wanted)
+            turn = wanted @ arm.home[:3, :3].T
             weight = 2 * self.hand_size**2
             shapes.append(turn.shape[:-2])
         tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
@@ -245,7 +247,7 @@ class HingeNetwork:
         far, turn = near = tuple(require_positive("tolerance", each) for each in tolerance)
         tasks, first = clamps.tasks, None
         if start is not None:
-            first = self.state(start).joint_angles
+            first = _floats("start", start, (self.arm.joint_count,))
             batch = _together("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)

@@ -214,11 +214,39 @@ def test_tasks_are_checked():
         ({"held": {7: 0.0}}, "joint 7 is not accepted"),
         ({"points": {0: [0, 0, 0]}}, "node 0 is not accepted"),
         ({"position": [np.nan, 0, 0]}, "position must be finite"),
+        ({"start": np.full(7, np.nan)}, "start must be finite"),
         ({"position": np.zeros((2, 3)), "start": np.zeros((3, 7))}, "start must have batch axes"),
-        ({"start": np.zeros(6)}, "joint_angles must be of shape"),
+        ({"start": np.zeros(6)}, r"start must be of shape \(..., 7\)"),
     ):
         with pytest.raises(ValueError, match=message):
             HingeNetwork(HingeArm.named("panda")).solve(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        (np.ones((3, 3)), "off by 3 and has the determinant 0"),
+        (np.zeros((3, 3)), "off by 1 and has the determinant 0"),
+        (np.diag([1.0, 1.0, -1.0]), "off by 0 and has the determinant -1"),
+        (np.eye(3) * (1 + 1e-6), "off by 2e-06 and has the determinant 1"),
+        (np.eye(3) + 1e-3 * np.eye(3, k=1), "off by 0.001 and has the determinant 1"),
+    ],
+)
+def test_a_matrix_that_is_no_rotation_is_refused(turn, said):
+    network = HingeNetwork(HingeArm.named("panda"))
+    with pytest.raises(ValueError, match=f"rotation must be a rotation.*rotation is {said}"):
+        network.solve(rotation=turn)
+    turns = np.tile(np.eye(3), (2, 3, 1, 1))
+    turns[1, 0] = turns[1, 2] = turn
+    with pytest.raises(ValueError, match=rf"rotation\[1, 0\] is {said}"):
+        network.clamp(rotation=turns)
+
+
+def test_a_rotation_in_single_precision_is_accepted():
+    arm = HingeArm.named("panda")
+    turns = arm.forward(postures(arm, 500))[:, :3, :3].astype(np.float32)
+    assert HingeNetwork(arm).clamp(rotation=turns).tasks.shape == (500,)
+    assert HingeNetwork(arm).clamp(rotation=turns[:0]).tasks.shape == (0,)
 
 
 def test_descriptions_are_checked():
@@ -227,7 +255,9 @@ def test_descriptions_are_checked():
         HingeNetwork(arm, damping=1.5)
     with pytest.raises(ValueError, match="limits must be pairs"):
         replace(arm, limits=arm.limits[:, ::-1])
-    with pytest.raises(ValueError, match="home must be a pose"):
+    with pytest.raises(ValueError, match=r"home must be a rotation.*determinant -1"):
         replace(arm, home=np.diag([1, 1, -1, 1]))
+    with pytest.raises(ValueError, match="home must be a pose"):
+        replace(arm, home=np.diag([1, 1, 1, 2]))
     with pytest.raises(ValueError, match="did you mean 'panda'"):
         HingeArm.named("pandas")
