@@ -37,6 +37,7 @@ class Plan(NamedTuple):
     is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
     weight: float  #: 2 s² where the hand's rotation is held, otherwise 0
     share: float  #: 1/d
+    calm: float  #: 1/d once the first starts have failed
     decay: float  #: factor on the velocity
     times: int = 0  #: iterations at most
     far: float = 0.0  #: tolerance of held nodes, m; 0 where iterations shall not stop

@@ -29,7 +29,8 @@ v_i = 0 at a limit.  A held joint has two equal limits.  The posture is at rest 
 vanish: at the target, or where no small change brings it nearer; hence the many starts.
 
 Near a solution no mode diverges for d > n/2 without a velocity, and for d > n/(2 (1 + decay)) with
-it: n estimates may all ask for the same.  (In the plane the bound is (N + 1)/2.)
+it, as long as it is not forgotten: n estimates may all ask for the same.  Those of few hinges, or
+of hinges in a plane, do, and need d > n/2.  (In the plane the bound of `model` is (N + 1)/2.)
 
 So this shares the vectors, their triangles, clamps, damping and velocity with `MMCNetwork`, but it
 averages over hinges, where `MMCNetwork` averages over triangles and then normalizes each segment.
@@ -68,6 +69,8 @@ ALONE = 30  # iterations in which only the given start may win
 NEAR = 0.1  # miss of a start that has all of them, shares of the arm's length
 LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
 NEWTON = 6  # steps of it
+FEW = 4  # free joints, up to which a third of them is too little damping
+CALM = 0.6  # damping that is enough for any, shares of the free joints
 _CHUNK = 64  # tasks in memory at once
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
 
@@ -114,7 +117,8 @@ class HingeNetwork:
 
     arm: HingeArm
     #: d, the weight of the present posture in the mean; more than n / (2 (1 + decay)).  None is a
-    #: third of the number of joints that are not held.
+    #: share of the number of joints that are not held: 0.6 for up to four, otherwise a third, which
+    #: is faster; but 0.6, too, in `solve` for starts after the first 16.
     damping: float | None = None
     velocity_decay: float = 0.97  #: factor on the velocity in each iteration, from 0 to below 1
     hand_size: float = 0.12  #: s, length of the vectors that stand for the hand's rotation, m
@@ -185,10 +189,10 @@ class HingeNetwork:
             tasks["place"][..., node, :] = place
         is_placed = np.zeros(arm.node_count, np.bool_)
         is_placed[list(places)] = True
-        share = 3 / max(1, arm.joint_count - len(held))
-        if self.damping is not None:
-            share = 1 / self.damping
-        return HingeClamps(tasks, Plan(is_placed, weight, share, float(self.velocity_decay)))
+        free = max(1, arm.joint_count - len(held))
+        calm = 1 / (self.damping or CALM * free)
+        share = calm if self.damping or free <= FEW else 3 / free
+        return HingeClamps(tasks, Plan(is_placed, weight, share, calm, float(self.velocity_decay)))
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -315,6 +319,7 @@ class HingeNetwork:
             if not left.any():
                 break
             active, blocks = active[left], blocks[left]
+            plan = plan._replace(share=plan.calm)
             order = None if order is None else order[left]
 
     def _order(self, blocks: NDArray[Any], plan: Plan, pool: Floats) -> NDArray[np.intp]:

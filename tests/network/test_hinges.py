@@ -110,6 +110,25 @@ def test_it_finds_random_poses_within_the_limits(name, engine):
     assert ((solution.joint_angles >= low) & (solution.joint_angles <= high)).all()
 
 
+@pytest.mark.parametrize("joints", [1, 2, 3, 4, 6])
+def test_a_planar_arm_finds_its_poses_by_itself(joints):
+    points = np.linspace(0, 1, joints, endpoint=False)[:, None] * [1, 0, 0]
+    home = np.eye(4) + np.eye(4, k=3)
+    arm = HingeArm(np.tile([0, 0, 1], (joints, 1)), points, home, np.tile([-3, 3], (joints, 1)))
+    poses = arm.forward(postures(arm, 100))
+    assert HingeNetwork(arm).solve(poses[:, :3, 3]).is_solved.all()
+    assert HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3]).is_solved.all()
+
+
+@pytest.mark.parametrize("free", [(3,), (1, 3), (1, 3, 5)])
+def test_a_robot_with_few_free_joints_finds_its_poses_by_itself(free):
+    arm = HingeArm.named("panda")
+    angles = postures(arm, 100)
+    poses, held = arm.forward(angles), {i: angles[:, i] for i in range(7) if i not in free}
+    network = HingeNetwork(arm)
+    assert network.solve(poses[:, :3, 3], poses[:, :3, :3], held=held).is_solved.all()
+
+
 def test_engines_do_the_same_operations():
     pytest.importorskip("numba", reason='it takes the extra "fast"')
     arm = HingeArm.named("ur5")
