@@ -53,7 +53,9 @@ def test_what_needs_numba_says_how_to_get_it():
         "from mmc_gym.network import MMCNetwork\n"
         "MMCNetwork()\n"
         "try: MMCNetwork(engine='numba')\n"
-        "except ImportError as error: print(error)"
+        "except ImportError as error: print(error)\n"
+        "try: MMCNetwork(engine='numba', dimensions=3)  # a mistake with numba as well\n"
+        "except ValueError as error: assert 'must be' in str(error), error"
     )
     assert all(line.endswith('pip install "mmc-gym[fast]"') for line in shown.splitlines())
     assert len(shown.splitlines()) == 2

@@ -209,12 +209,13 @@ class MMCNetwork:
             require(fine, "normalizer", self.normalizer, f"Euclidean {engine}")
             fine = self.schedule == "synchronous"
             require(fine, "schedule", self.schedule, f"'synchronous' {engine}")
-            import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
         require(self.dimensions in (2, 3), "dimensions", self.dimensions, "2 or 3")
         if self.dimensions == 3:
             fine = not isinstance(self.normalizer, LearnedNormalizer)
             require(fine, "normalizer", self.normalizer, "Euclidean for 3 dimensions")
             require(self.engine == "numpy", "engine", self.engine, "'numpy' for 3 dimensions")
+        if self.engine == "numba":
+            import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
 
     @property
     def segment_count(self) -> int:
