@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 # The last line of what sets up .venv, unless the shell has it on its path.
-NEXT = @[ "$$VIRTUAL_ENV" = "$(CURDIR)/$(VENV)" ] || \
+NEXT = @[ "$$VIRTUAL_ENV" = "$(abspath $(VENV))" ] || \
   echo "For mmc-gym and the other commands of the README type:  . $(VENV)/bin/activate"
 
 # A stamp is touched only after its step succeeded, so an interrupted step is done again.

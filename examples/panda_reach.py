@@ -3,9 +3,9 @@ How do the agents play an environment of somebody else?
 =======================================================
 
 Write a ``ReachInterface`` for it: where in an observation posture, hand and target are, and what an
-action does. This one is for ``PandaReachJoints-v3`` of panda-gym (``pip install mmc-gym[bodies]``),
-a robot of seven joints in space, whose observations say nothing of its joints: a wrapper reads
-their encoders.
+action does. This one is for ``PandaReachJoints-v3`` of panda-gym (``pip install "mmc-gym[bodies]"``
+with Python 3.11), a robot of seven joints in space, whose observations say nothing of its joints: a
+wrapper reads their encoders.
 """
 
 from dataclasses import replace

@@ -4,7 +4,7 @@ How do the agents play Gymnasium's Reacher-v5?
 
 Nobody has to train for it: write a ``ReachInterface`` that says where in an observation posture,
 hand and target are, and what torque brings the joints to the posture that an agent asks for.
-``pip install "gymnasium[mujoco]"``, then either of:
+``pip install "mmc-gym[bodies]"``, then either of:
 
 .. code-block:: sh
 

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from importlib.metadata import requires, version
 from pathlib import Path, PurePosixPath
@@ -104,7 +105,14 @@ def test_every_requirement_is_pinned_exactly_and_the_tests_need_no_peer_of_the_b
         for extra in ("dev", "benchmark")
     )
     assert "envpool" in benchmark
-    assert benchmark & dev == {"gymnasium"}  # MuJoCo is needed for other people's environments, too
+    assert benchmark & dev == {"gymnasium"}  # MuJoCo, which third-party environments need
+
+
+def test_every_extra_has_a_row_in_the_table_of_extras():
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        extras = tomllib.load(file)["project"]["optional-dependencies"]
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)) == sorted(extras)
 
 
 @pytest.mark.slow

@@ -1,9 +1,11 @@
 """The site builds without a warning, and its pages show what they should.
 
-It is built without running examples, which other tests do, and without films.  The pictures in it
-are those that the commands beside them draw.
+The site is that in the folder MMC_GYM_SITE, which `make docs` has built.  Without one it is built
+here, without running examples, which other tests do, and without films.  The pictures in it are
+those that the commands beside them draw.
 """
 
+import os
 import re
 import runpy
 import shutil
@@ -46,6 +48,8 @@ def build(tree):
 
 @pytest.fixture(scope="module")
 def site(once):
+    if built := os.environ.get("MMC_GYM_SITE"):
+        return Path(built)
     tree = once("site", build)
     log = (tree / "log").read_text()
     assert log == "0\n", log
