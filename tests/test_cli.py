@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -143,6 +144,7 @@ def test_a_failed_cell_of_the_benchmark_is_the_last_line_and_the_exit_status(
     )
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full disk to write to")
 @pytest.mark.parametrize("command", ["--version", "list tasks", "--help"])
 def test_a_full_disk_under_the_output_is_one_line(command):
     script = f"{sys.executable} -m mmc_gym.cli {command} >/dev/full"
@@ -164,6 +166,7 @@ def test_workers_start_where_a_standard_stream_is_closed(tmp_path, closed):
     assert (tmp_path / "ranking.csv").exists()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="sends no SIGINT")
 def test_an_interruption_during_an_import_that_swallows_it_is_one_line(tmp_path):
     code = (
         "import signal, sys; sys.argv = ['mmc-gym']\n"

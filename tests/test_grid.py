@@ -1,7 +1,6 @@
 """A grid has the same results in one process, in several, and on a cluster that loses a node."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -163,7 +162,7 @@ def test_workers_end_when_their_parent_is_killed():
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as one:
         workers = [int(one.stdout.readline()) for _ in range(2)]
-        os.kill(one.pid, signal.SIGKILL)
+        one.kill()
     for worker in workers:
         wait_for(lambda process=worker: not is_running(process))
 

@@ -2,9 +2,9 @@
 
 import dataclasses
 import math
+import os
 import pickle
 import re
-import resource
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +130,7 @@ def memory_in_use():
     statistics = Path("/proc/self/statm")
     if not statistics.exists():
         pytest.skip("knows no other way to ask for it")
-    return int(statistics.read_text().split()[1]) * resource.getpagesize() / 1e6
+    return int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 STRONG = {  # near the strongest that are accepted
