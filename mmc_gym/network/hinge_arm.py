@@ -25,9 +25,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, missing, require, require_array, require_choice
+from mmc_gym._errors import UserError, require, require_array, require_choice
 from mmc_gym._files import read_yaml
 from mmc_gym.network.chain import Floats
+from mmc_gym.network.urdf import read_chain
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
@@ -114,36 +115,15 @@ class HingeArm:
         """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
 
         Joints are revolute, "continuous" without a limit, or fixed: these move with what carries
-        them.  Others are refused.
+        them.  Nothing but the file is read, no meshes.
+
+        Raises:
+            UserError: if the file is no XML or the links do not form a tree; if a joint between
+                the two links slides, follows another one (`<mimic>`), is revolute without limits
+                or cannot be read.  It names the joint and its line.
+            FileNotFoundError: if there is no file.
         """
-        try:
-            import yourdfpy
-        except ModuleNotFoundError as error:
-            raise missing("HingeArm.from_urdf", "yourdfpy", "urdf") from error
-        if not Path(path).is_file():
-            raise FileNotFoundError(path)
-        robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
-        by_child = {joint.child: joint for joint in robot.joints}
-        chain: list[Any] = []
-        link = tip
-        while link != base:
-            require_choice("base" if chain else "tip", link, {*by_child, base})
-            chain.append(by_child[link])
-            link = chain[-1].parent
-        pose, axes, points, limits = np.eye(4), [], [], []
-        for joint in reversed(chain):
-            if joint.origin is not None:
-                pose = pose @ joint.origin
-            if joint.type == "fixed":
-                continue
-            if joint.type not in ("revolute", "continuous"):
-                accepted = "revolute, continuous or fixed"
-                raise UserError(f"joint {joint.name!r} must be {accepted}, got {joint.type!r}")
-            axes.append(pose[:3, :3] @ joint.axis)
-            points.append(pose[:3, 3])
-            is_free = joint.type == "continuous"
-            limits.append((-np.inf, np.inf) if is_free else (joint.limit.lower, joint.limit.upper))
-        return cls(np.array(axes), np.array(points), pose, np.array(limits))
+        return cls(*read_chain(path, base, tip))
 
     @property
     def joint_count(self) -> int:

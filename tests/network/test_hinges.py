@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym.network import HingeArm, HingeNetwork
 
 ROBOTS = ("panda", "ur5", "iiwa")
@@ -50,12 +51,68 @@ def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_ref
         robot.update_cfg(angles)
         np.testing.assert_allclose(arm.forward(angles), robot.get_transform("e", "a"), atol=1e-12)
     assert arm.limits.tolist() == [[-1, 2], [-np.inf, np.inf], [-2, 2]]
-    path.write_text(ODD.format(kind="prismatic"))
-    with pytest.raises(ValueError, match="'four' must be revolute, continuous or fixed"):
+
+
+LIMIT = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
+RING = """<joint name="up" type="fixed"><parent link="e"/><child link="a"/></joint>
+  <link name="f"/></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("{kind}", "prismatic", "joint 'four' of line 10 must be revolute, continuous or fixed"),
+        ("{kind}", "", "joint 'four' of line 10 must be revolute, continuous or fixed, got ''"),
+        (
+            "<limit",
+            "<mimic joint='one'/><limit",
+            "'one' of line 3 must turn .* joint 'one' \\(<mimic>",
+        ),
+        ("</joint>", "", r"not well-formed XML: .*joint line 3 and robot"),
+        ('xyz="0.1 -0.2', "xyz=0.1 -0.2", "not well-formed XML: .*line 4"),
+        ("0.1 -0.2 0.3", "0.1 0.2", "joint 'one' of line 3 cannot be read: "),
+        (
+            "0.1 -0.2 0.3",
+            "nan 0 0",
+            "'one' of line 3 must have an <origin> of finite numbers",
+        ),
+        ("0 0.6 0.8", "0 0 0", "joint 'one' of line 3 must have an <axis> of three numbers"),
+        (LIMIT, "", "joint 'one' of line 3 must have a <limit> with lower and upper, as"),
+        ('lower="-1"', "", "joint 'one' of line 3 must have a <limit> with lower and upper, as"),
+        (
+            'lower="-1"',
+            'lower="2"',
+            "'one' of line 3 must have limits with lower < upper, got 2 and 2",
+        ),
+        ('<parent link="a"/>', "", "joint 'one' of line 3 must have a name, and a <parent link"),
+        ('<link name="a"/>', "", "base 'a' is not accepted"),
+        ('<link name="e"/>', "", "tip 'e' is not accepted"),
+        ('<parent link="c"/>', '<parent link="e"/>', "tree, but joint 'four' of line 10 closes"),
+        ('<child link="c"/>', '<child link="b"/>', "'b' .* not of joint 'one' .* and joint 'two'"),
+        ('<parent link="a"/>', '<parent link="z"/>', "hang from base 'a', but it hangs from 'z'"),
+        ("<robot", '<!DOCTYPE r [<!ENTITY x "y">]><robot', "without a DOCTYPE"),
+        ("robot", "sdf", "must be a URDF file: a <robot>"),
+    ],
+)
+def test_a_file_that_describes_no_arm_of_hinges_is_refused(before, after, message, tmp_path):
+    pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
+    path, text = tmp_path / "odd.urdf", ODD.replace(before, after, -1 if before == "robot" else 1)
+    path.write_text(text.replace("{kind}", "revolute"))
+    with pytest.raises(UserError, match=message):
         HingeArm.from_urdf(path, base="a", tip="e")
+
+
+def test_what_lies_beside_the_chain_may_slide_or_close_a_circle(tmp_path):
+    pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
+    path = tmp_path / "odd.urdf"
+    path.write_text(ODD.format(kind="prismatic"))
     assert HingeArm.from_urdf(path, base="a", tip="d").joint_count == 2
-    with pytest.raises(ValueError, match="tip 'f' is not accepted"):
-        HingeArm.from_urdf(path, base="a", tip="f")
+    with pytest.raises(UserError, match="between base 'b' and tip 'c' must be a hinge"):
+        HingeArm.from_urdf(path, base="b", tip="c")
+    path.write_text(ODD.format(kind="revolute").replace("</robot>", RING))
+    assert HingeArm.from_urdf(path, base="a", tip="e").joint_count == 3
+    with pytest.raises(UserError, match=r"tree, but joint '.*' of line .* closes a circle"):
+        HingeArm.from_urdf(path, base="f", tip="e")
 
 
 @pytest.mark.slow  # loads robots in pybullet
