@@ -30,7 +30,7 @@ from mmc_gym._errors import (
     require_rows,
 )
 from mmc_gym._files import import_object
-from mmc_gym.network.chain import Floats, wrap_angle
+from mmc_gym.geometry import Floats, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters, Servo

@@ -15,8 +15,8 @@ from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.cli import main
+from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
-from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.report import write_report
 from studies.other_bodies.reacher import BODIES, play
 

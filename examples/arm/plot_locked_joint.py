@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mmc_gym
-from mmc_gym.network.chain import node_positions, segments_from_joint_angles
+from mmc_gym.geometry import node_positions, segments_from_joint_angles
 
 # %%
 # `locks-2` locks the second joint after 0.2 s. Starts and targets are drawn from seeds; both agents

@@ -26,9 +26,9 @@ from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._notebook import facts_table
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import CannotActError, Observation, ReachInterface, Sensed, read_attribute
 from mmc_gym.network import MMCState
-from mmc_gym.network.chain import Floats
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters

@@ -40,15 +40,15 @@ from typing_extensions import override
 
 from mmc_gym._errors import require_whole
 from mmc_gym.agents.base import JointTargetAgent
-from mmc_gym.interface import CannotActError, JointLimits, ReachInterface, Sensed
-from mmc_gym.network.chain import (
-    BEND,
+from mmc_gym.geometry import (
     Floats,
     nearest_reachable,
     node_positions,
     segments_from_joint_angles,
     wrap_angle,
 )
+from mmc_gym.interface import CannotActError, JointLimits, ReachInterface, Sensed
+from mmc_gym.network.chain import BEND
 
 SegmentLengths: TypeAlias = tuple[float, ...]
 Solver: TypeAlias = Callable[[Floats, Floats, SegmentLengths, "JointLimits | None"], Floats]

@@ -36,8 +36,8 @@ from typing_extensions import override
 
 from mmc_gym.agents.base import JointTargetAgent, where
 from mmc_gym.agents.inverse_kinematics import damped_least_squares, hand_position, iterate
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import Sensed
-from mmc_gym.network.chain import Floats
 
 SHORTEST = 0.2  #: T₀: duration of a movement of no length, s
 AVERAGE_SPEED = 4.0  #: v̄: growth of distance with duration, segment lengths / s

@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mmc_gym._errors import UserError
-from mmc_gym.network.chain import (
-    Floats,
-    node_positions,
-    reachable_radii,
-    segments_from_joint_angles,
-)
+from mmc_gym.geometry import Floats, node_positions, reachable_radii, segments_from_joint_angles
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters

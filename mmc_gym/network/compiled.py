@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mmc_gym._compiling import compiled, inner
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.iteration import velocity_rule
 
 if TYPE_CHECKING:

@@ -221,7 +221,7 @@ class TorchNetwork(torch.nn.Module):
             others = torch.cat([segments[1:], torch.stack(list(held.values()))])
             across = (segments[0, 0] * others[:, 1] - segments[0, 1] * others[:, 0]).abs()
             is_in_line = (across <= _STRAIGHT * eps * lengths[0] * reach).all(0)
-            # As `chain.nearest_reachable`, but without waiting for values on the host.
+            # As `nearest_reachable`, but without waiting for values on the host.
             inner = (2 * lengths.max() - reach).clamp(min=0.0)
             radius = torch.hypot(*target).clamp(inner, reach)
             bearing = torch.atan2(target[1], target[0])

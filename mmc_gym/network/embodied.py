@@ -35,7 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
-from mmc_gym.network.chain import Floats, triangle_products
+from mmc_gym.geometry import Floats
+from mmc_gym.network.chain import triangle_products
 from mmc_gym.network.iteration import compile_iteration, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, require_plane
 from mmc_gym.network.normalizers import Normalizer

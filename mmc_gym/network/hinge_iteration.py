@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 
 LANES = 16  # postures in a block
 _HELD = 1e12  # damping of a joint that rests

@@ -59,8 +59,8 @@ from mmc_gym._errors import (
     spelt,
     unknown,
 )
+from mmc_gym.geometry import Floats
 from mmc_gym.network import hinge_iteration
-from mmc_gym.network.chain import Floats
 from mmc_gym.network.hinge_arm import HingeArm, require_rotations
 from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
 

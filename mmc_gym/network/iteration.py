@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError, require, unknown
+from mmc_gym.geometry import Floats
 from mmc_gym.network import chain
-from mmc_gym.network.chain import Floats
 
 if TYPE_CHECKING:
     from mmc_gym.network.model import MMCNetwork

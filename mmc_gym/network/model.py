@@ -43,8 +43,15 @@ from mmc_gym._errors import (
     unknown,
 )
 from mmc_gym._notebook import facts_table
+from mmc_gym.geometry import (
+    Floats,
+    joint_angles_from_segments,
+    nearest_reachable,
+    node_positions,
+    segments_from_joint_angles,
+)
 from mmc_gym.network import chain
-from mmc_gym.network.chain import Floats, Pair
+from mmc_gym.network.chain import Pair
 from mmc_gym.network.iteration import compile_iteration, held_rows
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 
@@ -88,7 +95,7 @@ class MMCState:
     def joint_angles(self) -> Floats:
         """Relative joint angles of the segments in ]−π, π], shape (..., N); in the plane only."""
         require(self.values.shape[1] == 2, "state", "one in space", "in the plane")
-        return chain.joint_angles_from_segments(self.segments)
+        return joint_angles_from_segments(self.segments)
 
     @property
     def end_effector(self) -> Floats:
@@ -98,7 +105,7 @@ class MMCState:
     @property
     def nodes(self) -> Floats:
         """Base, joints and hand of this posture, shape (..., N + 1, 2)."""
-        return chain.node_positions(self.segments)
+        return node_positions(self.segments)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -137,7 +144,7 @@ class Trajectory(NamedTuple):
 
         segments = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
         last = self.state.vectors[..., -1, :].reshape(-1, 2)
-        return plot_postures(chain.node_positions(segments), last, axes)
+        return plot_postures(node_positions(segments), last, axes)
 
 
 @spelt
@@ -230,9 +237,7 @@ class MMCNetwork:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
         require_plane(self)
         angles = require_floats("joint_angles", joint_angles, (self.segment_count,))
-        return self.state_from_segments(
-            chain.segments_from_joint_angles(angles, self.segment_lengths)
-        )
+        return self.state_from_segments(segments_from_joint_angles(angles, self.segment_lengths))
 
     def state_from_segments(self, segments: ArrayLike) -> MMCState:
         """Return the state at rest with segment vectors (..., N, 2), and all others consistent.
@@ -389,7 +394,7 @@ class MMCNetwork:
         if not is_straight.any():
             return values
         clamped = _broadcast(clamped, values.shape[2:])
-        target = chain.nearest_reachable(np.moveaxis(target, 0, -1), lengths)
+        target = nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
         is_away = reduce(np.hypot, np.moveaxis(way, -1, 0)) > 1e-3 * sum(lengths)
         is_stuck = is_straight & are_in_line(clamped) & is_away

@@ -26,7 +26,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_array, require_choice
 from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 
 ShippedNormalizer = Literal["accurate", "paper"]
 WEIGHTS = Path(__file__).parent / "weights"

@@ -45,7 +45,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import require, require_array
-from mmc_gym.network.chain import Floats, triangle_products
+from mmc_gym.geometry import Floats
+from mmc_gym.network.chain import triangle_products
 from mmc_gym.network.model import MMCNetwork, MMCState, require_plane
 
 CORRECTIONS = 4  #: steps that correct the gain of an iteration

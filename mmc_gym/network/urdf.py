@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmc_gym._errors import UserError, missing, require_choice
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 
 _MOST = 16 * 2**20  # bytes of a file
 

@@ -30,8 +30,8 @@ from rich.table import Table
 from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.envs.workspace import Workspace
+from mmc_gym.geometry import node_positions, segments_from_joint_angles
 from mmc_gym.measures import Episode
-from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import play, successes
 

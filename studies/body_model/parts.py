@@ -30,12 +30,12 @@ from mmc_gym.agents.body_model.arm import hand
 from mmc_gym.agents.body_model.imagination import SETTLE
 from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import Episode, run_episodes
 from mmc_gym.measures.reaching import success, time_to_target
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 from mmc_gym.network import EuclideanNormalizer
-from mmc_gym.network.chain import segments_from_joint_angles
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import Make, Played, body_model, percent, play
 

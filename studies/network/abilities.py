@@ -31,9 +31,10 @@ from rich.table import Table
 
 from mmc_gym.agents.body_model.agent import network_of_body
 from mmc_gym.agents.inverse_kinematics import damped_least_squares
+from mmc_gym.geometry import Floats, segments_from_joint_angles
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
-from mmc_gym.network.chain import Floats, Pair, segments_from_joint_angles
+from mmc_gym.network.chain import Pair
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
 

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from mmc_gym import UserError
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.normalizers import WEIGHTS, LearnedNormalizer, Normalizer
 
 Array: TypeAlias = NDArray[np.float64]

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from mmc_gym.network.chain import Floats, node_positions
+from mmc_gym.geometry import Floats, node_positions
 from studies.drawing import COLOURS, LINES, STYLE
 from studies.paper.protocol import EUCLIDEAN, Recording
 

@@ -18,7 +18,7 @@ import loky
 import numpy as np
 
 from mmc_gym import __version__
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from studies.network.fitting import (
     PAPER,

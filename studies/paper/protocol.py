@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mmc_gym.geometry import Floats
 from mmc_gym.measures import speed
 from mmc_gym.measures.reaching import largest_retreat
-from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from studies.paper.experiment import ExperimentSettings, tracked

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym.agents import inverse_kinematics as ik
-from mmc_gym.network.chain import reachable_radii, wrap_angle
+from mmc_gym.geometry import reachable_radii, wrap_angle
 
 SOLVERS = {"dls": ik.damped_least_squares, "closed-form": ik.closed_form}
 ARMS = ((1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (2.0, 1.0, 0.5), (0.5,) * 7)

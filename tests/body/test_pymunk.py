@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
-from mmc_gym.network.chain import wrap_angle
+from mmc_gym.geometry import wrap_angle
 
 
 def pivot_gap(arm):

@@ -25,9 +25,9 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
+from mmc_gym.geometry import node_positions, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.measures import run_episodes
-from mmc_gym.network.chain import node_positions, segments_from_joint_angles, wrap_angle
 
 DISC = Obstacles().discs[0]
 STILL = np.zeros(3, np.float32)

@@ -14,8 +14,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs import perturbations
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
+from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface, relative_speeds
-from mmc_gym.network.chain import segments_from_joint_angles
 
 EXTREME = (1e308, 1e9, 1e-9, 1e-320, -1e308, -0.0, math.inf, math.nan)
 SHAPES = {

@@ -27,8 +27,8 @@ from mmc_gym.envs.tasks import (
 )
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.envs.workspace import Workspace
+from mmc_gym.geometry import reachable_radii, segments_from_joint_angles
 from mmc_gym.measures import run_episodes
-from mmc_gym.network.chain import reachable_radii, segments_from_joint_angles
 from studies.paper.protocol import PAIRS, TARGETS
 
 STILL = np.zeros(3, np.float32)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.measures import measure_all, reaching, sets, speed
 from mmc_gym.measures.episode import hand_speed, moving_part
-from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.network.time_base import minimum_jerk
 
 

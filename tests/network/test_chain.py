@@ -10,6 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mmc_gym._errors import UserError
+from mmc_gym.geometry import (
+    joint_angles_from_segments,
+    node_positions,
+    reachable_radii,
+    segments_from_joint_angles,
+    wrap_angle,
+)
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, chain
 from studies.network.fitting import angle_errors, mean_squared_error
 
@@ -37,7 +44,7 @@ def test_the_vectors_of_a_posture_close_every_triangle(count, data):
     segments = data.draw(arrays(float, (count, 2), elements=st.floats(-100, 100)))
     vectors = chain.chain_vectors(segments)
     assert np.abs(chain.triangle_incidence(count).T @ vectors).max() < 1e-12 * 100 * count
-    np.testing.assert_array_equal(vectors[:count], np.diff(chain.node_positions(segments), axis=0))
+    np.testing.assert_array_equal(vectors[:count], np.diff(node_positions(segments), axis=0))
     np.testing.assert_allclose(vectors[-1], segments.sum(axis=0), atol=1e-11)
 
 
@@ -45,15 +52,15 @@ def test_the_vectors_of_a_posture_close_every_triangle(count, data):
 def test_joint_angles_are_read_back_from_segments(data, count):
     joint_angles = data.draw(arrays(float, (2, count), elements=angles))
     lengths = data.draw(st.lists(st.floats(1e-3, 1e3), min_size=count, max_size=count))
-    segments = chain.segments_from_joint_angles(joint_angles, lengths)
+    segments = segments_from_joint_angles(joint_angles, lengths)
     np.testing.assert_allclose(np.linalg.norm(segments, axis=-1), [lengths] * 2, rtol=1e-12)
-    difference = chain.joint_angles_from_segments(segments) - joint_angles
-    np.testing.assert_allclose(chain.wrap_angle(difference), 0, atol=1e-12)
+    difference = joint_angles_from_segments(segments) - joint_angles
+    np.testing.assert_allclose(wrap_angle(difference), 0, atol=1e-12)
 
 
 @given(angle=st.floats(-1e3, 1e3))
 def test_a_wrapped_angle_points_the_same_way_and_lies_within_a_half_turn(angle):
-    wrapped = float(chain.wrap_angle(np.float64(angle)))
+    wrapped = float(wrap_angle(np.float64(angle)))
     assert -np.pi < wrapped <= np.pi
     assert np.cos(wrapped - angle) == pytest.approx(1)
 
@@ -63,8 +70,8 @@ def test_a_wrapped_angle_points_the_same_way_and_lies_within_a_half_turn(angle):
     joint_angles=arrays(float, 6, elements=angles),
 )
 def test_every_posture_lies_between_the_reachable_radii(lengths, joint_angles):
-    inner, outer = chain.reachable_radii(lengths)
-    segments = chain.segments_from_joint_angles(joint_angles[: len(lengths)], lengths)
+    inner, outer = reachable_radii(lengths)
+    segments = segments_from_joint_angles(joint_angles[: len(lengths)], lengths)
     radius = np.linalg.norm(segments.sum(axis=0))
     assert inner - 1e-9 <= radius <= outer + 1e-9
 

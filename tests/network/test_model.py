@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
+from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain, iteration
 from mmc_gym.network.differentiable import TorchNetwork
 from mmc_gym.network.iteration import linear_operator
@@ -141,7 +142,7 @@ def test_the_network_computes_the_equations_as_written(kind, count, engine, rule
 def test_every_task_ends_in_a_consistent_posture(kind, normalizer, task):
     lengths = (1.0, 0.7, 1.3, 0.9)
     network = MMCNetwork(lengths, normalizer=normalizer, **kind)
-    goal = chain.segments_from_joint_angles(np.array([0.2, 0.5, 0.4, 0.6]), lengths)
+    goal = segments_from_joint_angles(np.array([0.2, 0.5, 0.4, 0.6]), lengths)
     clamps = {
         "inverse": network.inverse(goal.sum(axis=0)),
         "forward": network.forward(goal),

@@ -45,9 +45,9 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.network.chain import Floats
 
 LAG = 1.5  # control steps until the joints are where a command takes them
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths

@@ -14,8 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
-from mmc_gym.network.chain import Floats
 
 Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]

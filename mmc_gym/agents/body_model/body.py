@@ -49,7 +49,7 @@ from numpy.typing import NDArray
 from mmc_gym.agents.base import every, some, where
 from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.senses import PostureTrack
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 
 FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²

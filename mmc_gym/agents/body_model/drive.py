@@ -26,8 +26,8 @@ from mmc_gym.agents.base import some
 from mmc_gym.agents.body_model.arm import Bools, bounded, hand, turn_share
 from mmc_gym.agents.body_model.senses import PostureTrack
 from mmc_gym.agents.planners import AVERAGE_SPEED, SHORTEST
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
-from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
 
 BRAKE = 0.6  # η: share of a joint's acceleration that the drive counts on

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some
 from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
+from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
-from mmc_gym.network.chain import Floats, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
 SPREAD = 1.0  # distance of the starts from the present posture, radians

@@ -43,7 +43,7 @@ from mmc_gym.agents.base import where
 from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
 from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.imagination import pulled
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 
 if TYPE_CHECKING:
     from mmc_gym.agents.body_model.agent import Parts

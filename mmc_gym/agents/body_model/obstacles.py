@@ -37,8 +37,8 @@ from mmc_gym.agents.base import some, where
 from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
 from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
-from mmc_gym.network.chain import Floats
 
 POINTS = np.arange(1, 13) / 12  # positions along a segment at which contacts are looked for
 LACKED = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians

@@ -41,8 +41,8 @@ import numpy as np
 
 from mmc_gym.agents.base import every, some, where
 from mmc_gym.agents.body_model.arm import Bools, Points, commanded_turn
+from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import ReachInterface
-from mmc_gym.network.chain import Floats, wrap_angle
 
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step

@@ -29,7 +29,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
+from mmc_gym.geometry import Floats
+from mmc_gym.network.chain import Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from studies.drawing import COLOURS

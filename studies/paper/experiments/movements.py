@@ -19,9 +19,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.signal import find_peaks
 
+from mmc_gym.geometry import Floats
 from mmc_gym.measures.episode import MOVING, moving_part
 from mmc_gym.measures.speed import peakedness, phase_of_peak
-from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 from studies.paper.experiment import (

@@ -24,7 +24,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from studies.drawing import COLOURS, LINES
 from studies.network.fitting import PAPER

@@ -27,7 +27,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mmc_gym.network.chain import Floats
+from mmc_gym.geometry import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from studies.drawing import COLOURS, LINES
 from studies.paper.experiment import (

@@ -1,0 +1,84 @@
+"""Geometry of an arm in the plane: angles, nodes, and what is within its reach.
+
+Lengths are in segment lengths, angles in radians; arrays have leading batch axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.floating]
+
+
+def node_positions(segments: Floats) -> Floats:
+    """Return the nodes p_0 = 0 … p_N, shape (..., N + 1, 2), from segments (..., N, 2)."""
+    base = np.zeros_like(segments[..., :1, :])
+    return np.concatenate([base, np.cumsum(segments, axis=-2)], axis=-2)
+
+
+def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike) -> Floats:
+    """Return the segment vectors (..., N, 2) of a posture; their sum is the end effector.
+
+    Joint angles (..., N) are relative, radians, 0 = straight on.
+
+    >>> segments_from_joint_angles(np.array([0.0, np.pi / 2]), (1.0, 2.0)).round(6)
+    array([[1., 0.],
+           [0., 2.]])
+    """
+    segment_angles = np.cumsum(joint_angles, axis=-1)
+    lengths = np.asarray(segment_lengths, dtype=segment_angles.dtype)
+    return np.stack([lengths * np.cos(segment_angles), lengths * np.sin(segment_angles)], axis=-1)
+
+
+def joint_angles_from_segments(segments: Floats) -> Floats:
+    """Return relative joint angles in ]−π, π], shape (..., N), from segments (..., N, 2)."""
+    segment_angles = np.arctan2(segments[..., 1], segments[..., 0])
+    joint_angles = segment_angles.copy()
+    joint_angles[..., 1:] -= segment_angles[..., :-1]
+    return wrap_angle(joint_angles)
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """Return the same angle in ]−π, π] (radians).
+
+    >>> wrap_angle(np.array([-np.pi, 0.0, 3 * np.pi])).round(6).tolist()
+    [3.141593, 0.0, 3.141593]
+    """
+    return np.pi - (np.pi - angle) % (2 * np.pi)
+
+
+def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
+    """Return inner and outer radius of the disc or ring that the end effector can reach.
+
+    >>> reachable_radii((1.0, 1.0, 1.0)), reachable_radii((3.0, 1.0))
+    ((0.0, 3.0), (2.0, 4.0))
+    """
+    reach = float(sum(segment_lengths))
+    return max(0.0, 2 * max(segment_lengths) - reach), reach
+
+
+def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Floats:
+    """Return targets (..., 2 or 3); those out of reach are moved to the nearest point within.
+
+    >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
+    array([3., 0.])
+    """
+    inner, outer = reachable_radii(segment_lengths)
+    is_plane = target.shape[-1] == 2
+    distance = np.hypot(target[..., 0], target[..., 1])
+    if not is_plane:
+        distance = np.hypot(distance, target[..., 2])
+    outside = (distance < inner) | (distance > outer)
+    if not outside.any():
+        return target
+    if not is_plane:
+        ahead = np.where(distance[..., None] > 0, target, np.eye(3, dtype=target.dtype)[0])
+        scale = np.clip(distance, inner, outer) / np.where(distance > 0, distance, 1)
+        return np.where(outside[..., None], scale[..., None] * ahead, target)
+    bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
+    radius = np.clip(distance, inner, outer)
+    nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
+    return np.where(outside[..., None], nearest, target)
