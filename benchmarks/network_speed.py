@@ -22,8 +22,9 @@ from rich.console import Console
 from rich.table import Table
 from timing import interleaved
 
-from mmc_gym.network import HingeArm, HingeNetwork, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
+from mmc_gym.robots import HingeArm, HingeNetwork
 
 BATCHES = (1_000, 10_000, 100_000)
 ITERATIONS = 20  # of `run`, per call

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mmc_gym.network import HingeArm, HingeNetwork
+from mmc_gym.robots import HingeArm, HingeNetwork
 
 Array = NDArray[np.float64]
 BUDGET = 0.005  # seconds

@@ -16,7 +16,7 @@ import panda_gym  # noqa: F401  registers the environment
 
 import mmc_gym
 from mmc_gym.interface import ReachInterface, Seen
-from mmc_gym.network import HingeArm
+from mmc_gym.robots import HingeArm
 
 BASE = np.array([-0.6, 0.0, 0.0])  # where the robot stands
 STEP, TURN = 0.04, 0.05  # seconds of a control step, radians that an action of 1 asks for

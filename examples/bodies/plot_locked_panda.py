@@ -14,7 +14,7 @@ import numpy as np
 from mmc_gym.agents.body_model.agent import Parts, mmc_body
 from mmc_gym.agents.body_model.spatial import lengthened
 from mmc_gym.interface import ReachInterface, Seen
-from mmc_gym.network import HingeArm
+from mmc_gym.robots import HingeArm
 
 GIVEN, ELBOW, TURN, STEPS = HingeArm.named("panda"), 3, 0.05, 41  # radians per step
 TRUE = lengthened(GIVEN, np.array([0, 0, 0, 0, 0.2, 0, 0, 0]))

@@ -11,7 +11,7 @@ redundant, so each finds its own posture. One is stuck at its limits: ``solve`` 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mmc_gym.network import HingeArm, HingeNetwork
+from mmc_gym.robots import HingeArm, HingeNetwork
 
 STARTS, SHOWN, LAST = 8, (0, 5, 60), 60
 arm = HingeArm.named("panda")

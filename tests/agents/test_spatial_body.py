@@ -8,7 +8,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.spatial import lengthened
 from mmc_gym.interface import ReachInterface, Seen
-from mmc_gym.network import HingeArm
+from mmc_gym.robots import HingeArm
 
 ARM = HingeArm.named("panda")
 START = np.array([0.0, 0.4, 0.0, -1.8, 0.0, 2.2, 0.8])

@@ -26,7 +26,7 @@ from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
-from mmc_gym.network import HingeArm, HingeNetwork
+from mmc_gym.robots import HingeArm, HingeNetwork
 
 if TYPE_CHECKING:
     from mmc_gym.agents.body_model.agent import Parts

@@ -1,6 +1,6 @@
 """Iterations of the network of hinges, in numpy and compiled by numba from the same functions.
 
-`hinge_network` has the equations.  A block is a task and a number of postures side by side in
+`network` has the equations.  A block is a task and a number of postures side by side in
 lanes.  All functions but `relax` act on lanes one by one: `k` is the index of a lane where numba
 compiles them, and all lanes of all blocks at once in numpy.  So both do the same operations.
 """

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import UserError, require, require_array, require_choice
 from mmc_gym._files import read_yaml
 from mmc_gym.geometry import Floats
-from mmc_gym.network.urdf import read_chain
+from mmc_gym.robots.urdf import read_chain
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")

@@ -1,6 +1,6 @@
 """The MMC network for arms of hinges in space: pose, position, elbow, locked joints.
 
-Nodes p_0 (base) … p_N (hand) follow from the arm, see `hinge_arm`; hinge i lies in node k(i), along
+Nodes p_0 (base) … p_N (hand) follow from the arm, see `arm`; hinge i lies in node k(i), along
 the unit vector u_i.  A clamp holds the vector v_0g from the base to a node, at v*_0g; three vectors
 h_a of length s that turn with the hand stand for its rotation, and are held at h*_a.
 
@@ -60,9 +60,9 @@ from mmc_gym._errors import (
     unknown,
 )
 from mmc_gym.geometry import Floats
-from mmc_gym.network import hinge_iteration
-from mmc_gym.network.hinge_arm import HingeArm, require_rotations
-from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
+from mmc_gym.robots import iteration
+from mmc_gym.robots.arm import HingeArm, require_rotations
+from mmc_gym.robots.iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
 
 POOL = 128  # postures, of which the nearest to a task are its starts
 ALONE = 30  # iterations in which only the given start may win
@@ -87,7 +87,7 @@ class HingeState:
 class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    tasks: NDArray[Any]  #: the limits and places, an array (...) of `hinge_iteration.task_type`
+    tasks: NDArray[Any]  #: the limits and places, an array (...) of `iteration.task_type`
     plan: Plan  #: which parts are held
 
 
@@ -353,9 +353,9 @@ class HingeNetwork:
 
     @cached_property
     def _relax(self) -> Any:
-        """`hinge_iteration.relax` for this arm, or the compiled one."""
+        """`iteration.relax` for this arm, or the compiled one."""
         is_compiled = self.engine == "numba" or (self.engine is None and find_spec("numba"))
-        relax = compiled_relax() if is_compiled else hinge_iteration.relax
+        relax = compiled_relax() if is_compiled else iteration.relax
         return lambda blocks, plan: relax(blocks, self._arm, plan)
 
     @cached_property

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mmc_gym._errors import UserError
-from mmc_gym.network import HingeArm, HingeNetwork
+from mmc_gym.robots import HingeArm, HingeNetwork
 
 ROBOTS = ("panda", "ur5", "iiwa")
 POSTURE = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
