@@ -188,7 +188,7 @@ def all_scenarios() -> dict[str, Scenario]:
     defaults = {one.name: one for one in map(scenario, FAMILIES)}
     order = ["", *FAMILIES]
     known = {**SCENARIOS, **TASK_SCENARIOS, **defaults}.values()
-    known = sorted(known, key=lambda one: (order.index(one.family), one.told))
+    known = sorted(known, key=lambda one: (order.index(one.family), one.known))
     return {one.name: one for one in known}
 
 
@@ -243,7 +243,7 @@ def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
         "One arm, many ways to make reaching hard. [MMCReach-v0](reach.md) describes the arm, its",
         "actions, observations and rewards. A *task* says where the target is, a *perturbation*",
         "what goes wrong. Together they have one name, with any strength:",
-        "`[<task>+]<perturbation>[-<strength>][-told][+<perturbation>…]`.",
+        "`[<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]`.",
         "",
         *code("python", "import mmc_gym", "", 'env = mmc_gym.make("centre-out+rotation-30")'),
         f"The films show {AGENTS_IN_WORDS}, from left to right. The cross is the target, the thin",

@@ -70,7 +70,7 @@ def _spelt(arguments: list[str]) -> list[str]:
     known = [f"--{name.replace('_', '-')}" for name in names]
     first = next((one for one in others[:1] if not one.startswith("-")), None)
     if first and command == "record":
-        _told("record takes its file as --out FILE")
+        _note("record takes its file as --out FILE")
         others = ["--out", *others]
     elif first and command not in _WITH_ARGUMENT:
         also = f"; did you mean --agents {first}?" if "--agents" in known else ""
@@ -80,10 +80,10 @@ def _spelt(arguments: list[str]) -> list[str]:
         word, sign, value = text.partition("=")
         option, present = word.replace("_", "-"), _FORMER.get(word)
         if command == "report" and option == "--store":
-            _told("report takes its folder without --store")
+            _note("report takes its folder without --store")
             found += [value] if value else []
         elif present in known:
-            _told(f"{option} is called {present}")
+            _note(f"{option} is called {present}")
             found.append(f"{present}{sign}{value}")
         elif word.startswith("--") and option not in (*known, "--help"):
             raise unknown(f"option of {command}", word, known)
@@ -92,7 +92,7 @@ def _spelt(arguments: list[str]) -> list[str]:
     return found
 
 
-def _told(message: str) -> None:
+def _note(message: str) -> None:
     print(f"mmc-gym: {message}", file=sys.stderr)
 
 
@@ -261,7 +261,7 @@ def benchmark(
     ranking.print_ranking(make_console(), out)
     if failed:
         number = "a cell" if len(failed) == 1 else f"{len(failed)} cells"
-        _told(f"{number} failed, and counts as no success: {failed[0]}")
+        _note(f"{number} failed, and counts as no success: {failed[0]}")
         raise SystemExit(1)
 
 
@@ -371,7 +371,7 @@ def train(
     folder = out or Path("runs") / file_stem(Path(name).stem, seed)
     checkpoint = folder / training.CHECKPOINT
     if resume and not checkpoint.exists():
-        _told(f"nothing to resume, as there is no {checkpoint}: training begins")
+        _note(f"nothing to resume, as there is no {checkpoint}: training begins")
     with progress_bar() as bar:
         task = bar.add_task(folder.name)
 
@@ -508,7 +508,7 @@ def main(arguments: list[str] | None = None) -> None:
             message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1
         elif isinstance(error, MemoryError):
             message = f"not enough memory. {message}"
-        _told(message)
+        _note(message)
         raise SystemExit(status) from error
 
 
@@ -550,7 +550,7 @@ def _show_warning(
 ) -> None:
     """Print a `MismatchWarning` as errors are printed: without its place in the code."""
     if issubclass(category, MismatchWarning):
-        _told(str(message))
+        _note(str(message))
     else:
         usual(message, category, *place)
 

@@ -80,7 +80,7 @@ def list_perturbations() -> Listing:
         Listed(
             name,
             one.description.format(f"{one.default:g}"),
-            f"{one.unit}{', or -told' * one.told}",
+            f"{one.unit}{', or -known' * one.known}",
         )
         for name, one in FAMILIES.items()
     )
@@ -196,8 +196,10 @@ def _given(found: Scenario, setup: Any) -> Iterator[str]:
     names = found.named_perturbations["perturbations"]
     for name, change in zip(names, found.perturbations, strict=True):
         thing = "the perturbation" if len(names) == 1 else name
-        hint = f"; with {name}-told they are" if "told" in vars(change) and not change.told else ""
-        yield f"are {'' if change.told else 'not '}given {thing}{hint}"
+        hint = (
+            f"; with {name}-known they are" if "known" in vars(change) and not change.known else ""
+        )
+        yield f"are {'' if change.known else 'not '}given {thing}{hint}"
     for one in fields(setup.given_body):
         given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
         if given != true:

@@ -53,7 +53,7 @@ def test_too_few_columns_for_a_table_are_none_at_all(columns, capsys, monkeypatc
 
 @pytest.mark.parametrize(
     "name",
-    ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-told"],
+    ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-known"],
 )
 def test_what_it_says_makes_a_scenario_does_make_it(name):
     expected = scenario(name).make().unwrapped.setup
@@ -70,12 +70,12 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     main(["show", "longer-35"])
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
-    assert "are not given the perturbation; with longer-35-told they are" in " ".join(out.split())
+    assert "are not given the perturbation; with longer-35-known they are" in " ".join(out.split())
     assert "segment_lengths: (1, 1, 1.35), given (1, 1, 1)" in out
-    assert "segment_lengths" not in str(dict(describe("longer-35-told"))["agents"])
+    assert "segment_lengths" not in str(dict(describe("longer-35-known"))["agents"])
     assert dict(describe("gravity"))["agents"] == "are given the perturbation"
-    both = dict(describe("longer-20-told+delay-150"))
-    assert both["agents"].startswith("are given longer-20-told\nare not given delay-150")
+    both = dict(describe("longer-20-known+delay-150"))
+    assert both["agents"].startswith("are given longer-20-known\nare not given delay-150")
     assert both["delay"] == "8 control steps, 160 ms"
 
 

@@ -114,7 +114,7 @@ class Block:
         grown = []
         for one in map(perturbation_scenario, self.perturbations):
             strength = round((one.strength or 0.0) * (trial + 1) / self.trials, 2)
-            grown.append(f"{one.family}-{strength:g}{'-told' * one.told}")
+            grown.append(f"{one.family}-{strength:g}{'-known' * one.known}")
         return tuple(grown)
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:

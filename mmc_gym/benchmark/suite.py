@@ -36,10 +36,10 @@ _PERTURBED = """
 force-field-30 force-field-60 force-field-90
 rotation-15 rotation-30 rotation-45 rotation-60
 hand-mass-1 hand-mass-3 hand-mass-10
-longer-10 longer-20 longer-50 longer-20-told longer-50-told
-shorter-10 shorter-20 shorter-50 shorter-20-told shorter-50-told
-locked-1 locked-2 locked-3 locked-1-told locked-2-told locked-3-told
-locks-1 locks-2 locks-3 locks-2-told
+longer-10 longer-20 longer-50 longer-20-known longer-50-known
+shorter-10 shorter-20 shorter-50 shorter-20-known shorter-50-known
+locked-1 locked-2 locked-3 locked-1-known locked-2-known locked-3-known
+locks-1 locks-2 locks-3 locks-2-known
 joint-noise-0.01 joint-noise-0.02 joint-noise-0.05
 joint-noise-speed-0.01 joint-noise-speed-0.03
 vision-noise-0.01 vision-noise-0.03 vision-noise-0.1

@@ -50,7 +50,7 @@ _DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0
 class Perturbation:
     """Something that goes wrong; this base class changes nothing."""
 
-    told: bool = False  # whether agents are given the changed body
+    known: bool = False  # whether agents are given the changed body
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """Return the arm under this perturbation."""
@@ -102,7 +102,7 @@ class Gravity(Perturbation):
     """The arm hangs in gravity, which pulls along −y.  Agents are always given it."""
 
     acceleration: float = 60.0  #: segment lengths / s²; it is added to the `gravity` of the arm
-    told = True
+    known = True
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -117,7 +117,7 @@ class SegmentLength(Perturbation):
 
     factor: float = 1.2  #: new length over old
     segment: int = -1  #: index of the segment; -1 is the last
-    told: bool = False  #: whether agents are given the new length
+    known: bool = False  #: whether agents are given the new length
 
     def __post_init__(self) -> None:
         require_positive("factor", self.factor)
@@ -140,7 +140,7 @@ class LockedJoint(Perturbation):
 
     joint: int = 1  #: index of the joint, from the base outward
     time: float = 0.0  #: when it locks, s after the start; the same for all joints that lock
-    told: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
+    known: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
 
     def __post_init__(self) -> None:
         require_between(0, LONGEST, time=self.time)
@@ -380,7 +380,7 @@ class Family:
     description: str  #: of a scenario, in a line; `{}` stands for the strength
     default: float  #: strength of a name without one
     make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
-    told: bool = False  #: whether agents can be given the change (`-told`)
+    known: bool = False  #: whether agents can be given the change (`-known`)
     whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
 
 
@@ -428,15 +428,15 @@ FAMILIES: dict[str, Family] = {
             CursorJump,
         ),
         Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
-        Family("longer", "%", "last segment {} % longer", 20.0, _longer, told=True),
-        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, told=True),
+        Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
+        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
         Family(
             "locked",
             "joint",
             "joint {} (from the base) locked from the start",
             2.0,
             _locked,
-            told=True,
+            known=True,
             whole=True,
         ),
         Family(
@@ -445,7 +445,7 @@ FAMILIES: dict[str, Family] = {
             "joint {} (from the base) locked after 0.2 s",
             2.0,
             _locks,
-            told=True,
+            known=True,
             whole=True,
         ),
         Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),

@@ -101,8 +101,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ## Tasks and Perturbations
     `task` says where the target is and how it moves; every task has an id, such as
     `MMCReachPursuit-v0`.  `perturbations` names what goes wrong with body, cursor or senses, with
-    any strength: `["delay-160", "longer-35-told"]`.  `mmc_gym.make("pursuit+delay-160")` makes both
-    by one name.  See `mmc_gym.envs.tasks` and `mmc_gym.envs.scenarios`.
+    any strength: `["delay-160", "longer-35-known"]`.  `mmc_gym.make("pursuit+delay-160")` makes
+    both by one name.  See `mmc_gym.envs.tasks` and `mmc_gym.envs.scenarios`.
     `env.unwrapped.parameters` is the arm that agents are given.
 
     ## Arguments

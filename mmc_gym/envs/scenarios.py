@@ -2,14 +2,14 @@
 
 One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
 
-    [<task>+]<perturbation>[-<strength>][-told][+<perturbation>…]
+    [<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]
 
-    random, centre-out, rotation-30, centre-out+rotation-30, longer-35-told+delay-160
+    random, centre-out, rotation-30, centre-out+rotation-30, longer-35-known+delay-160
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
-`force-field-60`).  With `-told`, agents are given the changed body.  Without a task it is "random":
-an agent's episodes differ from those of `random` in the perturbations alone, because the same seeds
-draw the same starts and targets.
+`force-field-60`).  With `-known`, agents are given the changed body.  Without a task it is
+"random": an agent's episodes differ from those of `random` in the perturbations alone, because the
+same seeds draw the same starts and targets.
 
 Tasks have ids, in camel case: `MMCReachCentreOut-v0`.  Perturbations are arguments of all of them.
 """
@@ -179,7 +179,7 @@ class Scenario:
     family: str = ""
     strength: float | None = None  #: of the last perturbation, comparable within the family
     unit: str = ""
-    told: bool = False  #: whether agents are given what the last perturbation changes
+    known: bool = False  #: whether agents are given what the last perturbation changes
 
     @property
     def task_name(self) -> str:
@@ -275,7 +275,7 @@ class Scenario:
             "kwargs": _as_json(self.arguments),
             **own,
             "description": self.description,
-            "family": self.family + "-told" * self.told,
+            "family": self.family + "-known" * self.known,
             "strength": self.strength,
             "unit": self.unit,
             "baseline": self.task_name if self.family else None,
@@ -289,7 +289,7 @@ def scenario(name: str, interface: Any = None) -> Scenario:
     takes it: a registered id, "module:Id", or "module:function"; one that is not of this package
     needs an `interface` (`InterfacedEnv`).
 
-    >>> scenario("longer-35-told").description
+    >>> scenario("longer-35-known").description
     'last segment 35 % longer, given to agents'
     >>> scenario("centre-out+locked").name
     'centre-out+locked-2'
@@ -323,11 +323,11 @@ def _joined(task: Scenario, changes: Sequence[Scenario]) -> Scenario:
     )
 
 
-def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
+def perturbed(family: Family, strength: float, known: bool = False) -> Scenario:
     """Return the scenario of a perturbation, in the task "random"."""
-    if told and not family.told:
-        accepted = ", ".join(one.name for one in FAMILIES.values() if one.told)
-        raise UserError(f"'-told' may follow {accepted} only, got it after {family.name!r}")
+    if known and not family.known:
+        accepted = ", ".join(one.name for one in FAMILIES.values() if one.known)
+        raise UserError(f"'-known' may follow {accepted} only, got it after {family.name!r}")
     # Digits without exponent, as the grammar reads them.
     digits = np.format_float_positional(strength, trim="-")
     try:
@@ -338,17 +338,17 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
     perturbation.check_hooks()
     description = family.description.format(digits)
-    if family.told:
-        description += f", {'given' if told else 'not given'} to agents"
-        perturbation = replace(perturbation, told=told)  # type: ignore[type-var]
+    if family.known:
+        description += f", {'given' if known else 'not given'} to agents"
+        perturbation = replace(perturbation, known=known)  # type: ignore[type-var]
     return Scenario(
-        name=f"{family.name}-{digits}{'-told' * told}",
+        name=f"{family.name}-{digits}{'-known' * known}",
         description=description,
         perturbations=(perturbation,),
         family=family.name,
         strength=strength,
         unit=family.unit,
-        told=told,
+        known=known,
     )
 
 
@@ -403,7 +403,7 @@ def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "M
     )
 
 
-_NAME = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<told>-told)?")
+_NAME = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<known>-known)?")
 
 
 def perturbation_scenario(name: object, argument: str = "perturbations") -> Scenario:
@@ -416,7 +416,7 @@ def perturbation_scenario(name: object, argument: str = "perturbations") -> Scen
         raise _unknown(name, argument)
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
-    return perturbed(family, strength, told=match["told"] is not None)
+    return perturbed(family, strength, known=match["known"] is not None)
 
 
 def _unknown(name: object, argument: str = "scenario") -> UserError:
@@ -431,7 +431,7 @@ def _unknown(name: object, argument: str = "scenario") -> UserError:
     else:
         known = [*TASK_SCENARIOS, *FAMILIES]
         also.append("several (centre-out+rotation-30)")
-    word = re.split("-(?=-?[0-9]|told$)", name)[0] if isinstance(name, str) else ""
+    word = re.split("-(?=-?[0-9]|known$)", name)[0] if isinstance(name, str) else ""
     guess = nearest(word, known)
     if guess in FAMILIES and "+" not in str(name):  # with the strength that was given
         guess += str(name)[len(word) :]

@@ -128,11 +128,11 @@ class ReachSetup:
 
     def _apply_perturbations(self, parameters: ArmParameters, names: Sequence[str]) -> None:
         changes, step = self.perturbations, parameters.control_step
-        #: the simulated arm, with all perturbations; the given one, with those that are `told`
+        #: the simulated arm, with all perturbations; the given one, with those that are `known`
         self.body = self.given_body = parameters
         for name, change in zip(names, changes, strict=True):
             self.body = _changed(name, change, self.body)
-            self.given_body = _changed(name, change, self.given_body, change.told)
+            self.given_body = _changed(name, change, self.given_body, change.known)
         self.noises = [change for change in changes if isinstance(change, Noise)]  #: of the senses
         delays = [change for change in changes if isinstance(change, SensoryDelay)]
         seconds = sum(change.seconds for change in delays)

@@ -96,7 +96,7 @@ def success(perturbation, delay=0.0):
 
 def test_locked_joints_and_senses_that_are_known_to_be_late_do_little_harm():
     assert success("locked-2") > 0.7
-    assert success("locked-2-told") > 0.9
+    assert success("locked-2-known") > 0.9
     assert success("delay-200") < 0.5
     assert success("delay-200", delay=0.2) > 0.9
 

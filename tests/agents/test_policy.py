@@ -153,5 +153,5 @@ def test_a_policy_warns_of_another_arm_than_in_training(arguments, message):
 
 def test_another_way_to_simulate_the_arm_and_a_perturbation_are_no_mismatch():
     arguments = {"engine": "analytic", "substep": 0.0025, "substeps": 8}
-    env = gym.make("MMCReach-v0", perturbations=["longer-20-told", "hand-mass"], **arguments)
+    env = gym.make("MMCReach-v0", perturbations=["longer-20-known", "hand-mass"], **arguments)
     assert make_agent("ppo-0", env)  # a warning is an error

@@ -1,4 +1,4 @@
-"""A benchmark can be interrupted, added to and spread; an agent that fails is told."""
+"""A benchmark can be interrupted, added to and spread; an agent that fails is reported."""
 
 import importlib
 import platform
@@ -147,12 +147,12 @@ def test_the_lowest_training_seed_keeps_paths_of_the_first_instances_and_failure
 
 def test_settings_are_those_of_the_environments_that_were_played(tmp_path):
     given = {"success_distance": 3.0, "segment_lengths": [1, 0.5], "substeps": 8}
-    play(["random"], tmp_path, ["random", "longer-20", "longer-20-told"], 2, env_kwargs=given)
+    play(["random"], tmp_path, ["random", "longer-20", "longer-20-known"], 2, env_kwargs=given)
     assert read_episodes(tmp_path)["success"].eq(1).all()
     found = read_manifest(tmp_path).environments
     assert {(one["tolerance"], one["control_step"]) for one in found.values()} == {(3.0, 0.04)}
     lengths = {name: one["segment_lengths"] for name, one in found.items()}
-    assert lengths == {"random": [1, 0.5], "longer-20": [1, 0.5], "longer-20-told": [1, 0.6]}
+    assert lengths == {"random": [1, 0.5], "longer-20": [1, 0.5], "longer-20-known": [1, 0.6]}
 
 
 def test_cells_that_are_there_are_not_played_again(tmp_path):

@@ -83,7 +83,7 @@ def test_an_own_perturbation_takes_any_strength():
     assert scenario("heavy-0.5").description == "0.5 masses at the hand"
 
 
-@pytest.mark.parametrize("name", ["random", "delay", "Two words", "", "heavy-told-"])
+@pytest.mark.parametrize("name", ["random", "delay", "Two words", "", "heavy-known-"])
 def test_names_that_are_taken_or_none_are_refused(name):
     with pytest.raises(UserError, match="name must be words"):
         register_task(name, Here())

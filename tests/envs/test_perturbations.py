@@ -65,7 +65,7 @@ def rough_actions(steps, seed):
             False,
         ),
         ("locked", {"lockable_joints": (1,)}, False),
-        ("locked-told", {"lockable_joints": (1,)}, True),
+        ("locked-known", {"lockable_joints": (1,)}, True),
         ("gravity-60", {"gravity": (1.0, -62.0)}, True),
     ],
 )
@@ -76,14 +76,14 @@ def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_
     assert env.parameters == (env.setup.body if is_told else ArmParameters(**own))
 
 
-@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("factor", [0.5, 1.2])
-def test_who_is_not_told_a_length_misses_by_its_change(factor, told):
-    change = SegmentLength(factor, told=told)
+def test_who_is_not_told_a_length_misses_by_its_change(factor, known):
+    change = SegmentLength(factor, known=known)
     env = MMCReachEnv(perturbations=change)
     assert env.setup.body.segment_lengths == (1.0, 1.0, factor)
-    assert env.parameters.segment_lengths == (1.0, 1.0, factor if told else 1.0)
-    expected = 0.0 if told else abs(factor - 1)
+    assert env.parameters.segment_lengths == (1.0, 1.0, factor if known else 1.0)
+    expected = 0.0 if known else abs(factor - 1)
     for seed in range(5):
         assert movement(env, seed).distances[-1] == pytest.approx(expected, abs=0.01)
 
@@ -168,10 +168,10 @@ def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name):
     for env in (disturbed, plain):
         env.reset(seed=0)
     for action in rough_actions(50, seed=0):
-        seen, told = disturbed.step(action), plain.step(action)
-        assert not np.array_equal(seen[0], told[0])
-        assert seen[1] == told[1]
-        assert all(np.array_equal(seen[4][key], told[4][key]) for key in told[4])
+        seen, known = disturbed.step(action), plain.step(action)
+        assert not np.array_equal(seen[0], known[0])
+        assert seen[1] == known[1]
+        assert all(np.array_equal(seen[4][key], known[4][key]) for key in known[4])
 
 
 @pytest.mark.parametrize(("name", "steps"), [("delay-40", 2), (["delay-40", "delay-200"], 12)])
@@ -356,7 +356,9 @@ def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_al
     assert env.arm.joint_angles == pytest.approx(stretched)
 
 
-@pytest.mark.parametrize("length", ["longer-50", "longer-50-told", "shorter-50", "shorter-50-told"])
+@pytest.mark.parametrize(
+    "length", ["longer-50", "longer-50-known", "shorter-50", "shorter-50-known"]
+)
 @pytest.mark.parametrize("task", ["random", "pursuit"])
 def test_goals_of_an_arm_of_another_length_are_in_their_space(length, task):
     arguments = {"segment_lengths": (1.0, 0.4), "perturbations": [length, "rotation-45"]}

@@ -38,8 +38,8 @@ from mmc_gym.interface import CONTROLS
 
 PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
-TOLD = [f"{name}-told" for name, family in FAMILIES.items() if family.told]
-OTHERS = [*sorted({*TASKS, *FAMILIES, *TOLD} - {"random"}), "centre-out+rotation-30+delay-40"]
+KNOWN = [f"{name}-known" for name, family in FAMILIES.items() if family.known]
+OTHERS = [*sorted({*TASKS, *FAMILIES, *KNOWN} - {"random"}), "centre-out+rotation-30+delay-40"]
 CASES = [*product(PLAIN, CONTROLS), *zip(OTHERS, cycle(CONTROLS), strict=False)]
 DAILY = {
     ("MMCReach-v0", "joint_delta"),
@@ -58,12 +58,12 @@ DISC = (1.5, 1.0, 0.25)
     ("name", "full_name", "perturbation"),
     [
         ("delay-150", "delay-150", SensoryDelay(0.15)),
-        ("longer-35-told", "longer-35-told", SegmentLength(1.35, told=True)),
+        ("longer-35-known", "longer-35-known", SegmentLength(1.35, known=True)),
         ("shorter", "shorter-20", SegmentLength(0.8)),
         ("force-field--5.50", "force-field--5.5", ForceField(-5.5)),
         ("gravity", "gravity-60", Gravity(60.0)),
         ("locked", "locked-2", LockedJoint(1)),
-        ("locks-3-told", "locks-3-told", LockedJoint(2, time=0.2, told=True)),
+        ("locks-3-known", "locks-3-known", LockedJoint(2, time=0.2, known=True)),
         ("joint-noise-speed-0.03", "joint-noise-speed-0.03", JointNoise(0.0, speed_std=0.03)),
         ("vision-noise-0.00001", "vision-noise-0.00001", VisionNoise(0.00001)),
         ("vision-noise-distance", "vision-noise-distance-0.05", VisionNoise(0.0, 0.05)),
@@ -82,8 +82,8 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
 def test_a_wrong_name_is_refused_with_a_hint():
     for name, hint in (
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
-        ("delay-40-told", "'-told' may follow longer, shorter, locked, locks only.*'delay'"),
-        ("centre-out+rotatoin-30-told", "'rotatoin-30-told'.*did you mean 'rotation-30-told'"),
+        ("delay-40-known", "'-known' may follow longer, shorter, locked, locks only.*'delay'"),
+        ("centre-out+rotatoin-30-known", "'rotatoin-30-known'.*did you mean 'rotation-30-known'"),
         ("centreout+rotation-30", "'centreout' is not accepted; did you mean 'centre-out'"),
         ("rotation-30+centre-out", "'centre-out' is a task, which stands first"),
         ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
