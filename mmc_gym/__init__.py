@@ -7,7 +7,6 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from mmc_gym import _interrupt as _interrupt  # first: Ctrl-C ends the command in one line
 from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.agents import make_agent
 from mmc_gym.envs import make, make_vec

@@ -39,9 +39,6 @@ _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
     *("ppo", "sac", "tqc-her", "random"),
 )
-_FORMER = {"--agent": "--agents", "--models": "--agents"} | dict.fromkeys(
-    ("--env", "--environments", "--perturbations", "--tasks"), "--scenarios"
-)
 _WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 
@@ -52,14 +49,13 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     return _app.command(name=name)(function)
 
 
-def _spelt(arguments: list[str]) -> list[str]:
-    """Return the arguments with former words of options replaced, after a line about each.
+def _check_words(arguments: list[str]) -> None:
+    """Raise a `UserError` for a command or an option that is misspelt.
 
-    Raises:
-        UserError: for a command or an option that is misspelt.
+    tyro would list the options of all other commands.
     """
     if not arguments or arguments[0].startswith("-"):
-        return arguments
+        return
     command, *others = arguments
     if command not in _commands:
         raise unknown("command", command, _commands)
@@ -68,31 +64,17 @@ def _spelt(arguments: list[str]) -> list[str]:
     names = [name for name in taken if name != "more"][command in _WITH_ARGUMENT :]
     names += ["import" if one.name == "imports" else one.name for one in shared]
     known = [f"--{name.replace('_', '-')}" for name in names]
-    first = next((one for one in others[:1] if not one.startswith("-")), None)
-    if first and command == "record":
-        _note("record takes its file as --out FILE")
-        others = ["--out", *others]
-    elif first and command not in _WITH_ARGUMENT:
-        also = f"; did you mean --agents {first}?" if "--agents" in known else ""
-        raise UserError(f"{command} must be followed by options, got {first!r}{also}")
-    found = [command]
+    if others and not others[0].startswith("-") and command not in _WITH_ARGUMENT:
+        also = f"; did you mean --agents {others[0]}?" if "--agents" in known else ""
+        raise UserError(f"{command} must be followed by options, got {others[0]!r}{also}")
     for text in others:
-        word, sign, value = text.partition("=")
-        option, present = word.replace("_", "-"), _FORMER.get(word)
-        if command == "report" and option == "--store":
-            _note("report takes its folder without --store")
-            found += [value] if value else []
-        elif present in known:
-            _note(f"{option} is called {present}")
-            found.append(f"{present}{sign}{value}")
-        elif word.startswith("--") and option not in (*known, "--help"):
-            raise unknown(f"option of {command}", word, known)
-        else:
-            found.append(text)
-    return found
+        option = text.partition("=")[0]
+        if option.startswith("--") and option.replace("_", "-") not in (*known, "--help"):
+            raise unknown(f"option of {command}", option, known)
 
 
-def _note(message: str) -> None:
+def _print_line(message: str) -> None:
+    """Print a line about the command itself on stderr."""
     print(f"mmc-gym: {message}", file=sys.stderr)
 
 
@@ -111,8 +93,8 @@ Pairs = Annotated[tuple[str, ...], _arg("NAME=VALUE...")]
 Modules = Annotated[tuple[str, ...], _arg("MODULE...", name="import")]
 Text = Annotated[str | None, _arg("TEXT")]
 Shares = Annotated[tuple[float, ...], _arg("X...")]
-Number = Annotated[int | None, _arg("N")]
-Seed = Annotated[int, _arg("N")]
+Number = Annotated[int, _arg("N")]
+OtherNumber = Annotated[int | None, _arg("N")]
 Place = Annotated[Path, _arg("PATH")]
 Unit = Annotated[Literal["lengths", "m"], _arg("lengths|m")]
 OtherPlace = Annotated[Path | None, _arg("PATH")]
@@ -120,7 +102,7 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavi
 
 
 @dataclass(frozen=True)
-class Imports:
+class ImportOptions:
     """The option of commands that look things up by name."""
 
     imports: Modules = ()
@@ -133,7 +115,7 @@ class Imports:
 
 
 @dataclass(frozen=True)
-class World(Imports):
+class EnvironmentOptions(ImportOptions):
     """The options of commands that make environments."""
 
     env_kwargs: Pairs = ()
@@ -155,7 +137,7 @@ class World(Imports):
 
 
 @dataclass(frozen=True)
-class Played(World):
+class PlayOptions(EnvironmentOptions):
     """The options of commands in which agents play."""
 
     allow_pickle: Switch = False
@@ -166,7 +148,7 @@ class Played(World):
         return {**super().load(), "allow_pickle": self.allow_pickle}
 
 
-NO_IMPORTS, WORLD, PLAYED = Imports(), World(), Played()
+NO_IMPORTS, IN_ENVIRONMENT, PLAYED = ImportOptions(), EnvironmentOptions(), PlayOptions()
 
 
 @_command
@@ -174,11 +156,11 @@ def compare(
     agents: Names = _COMPARED,
     scenarios: Names = ("random",),
     focus: Names = (),
-    episodes: Seed = 200,
-    seed: Seed = 0,
+    episodes: Number = 200,
+    seed: Number = 0,
     out: Place = Path("runs/compare"),
     interface: Text = None,
-    more: Played = PLAYED,
+    more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
 
@@ -187,7 +169,7 @@ def compare(
             'runs/mine-*' for several trainings of one agent; LABEL=... for another name.
         scenarios: One scenario, such as centre-out or delay-150; or your own environment, by id,
             module:Id or module:function.
-        focus: The agents in question, compared with each other one; your own if not given.
+        focus: The agents to compare with each other one; your own if not given.
         episodes: Episodes of each agent.
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
@@ -212,15 +194,15 @@ def _one(option: str, values: tuple[str, ...], otherwise: str = "") -> str:
 def benchmark(
     agents: Names = (),
     scenarios: Names = (),
-    episodes: Seed = 100,
-    seed: Seed = 0,
+    episodes: Number = 100,
+    seed: Number = 0,
     out: Place = Path("runs/benchmark"),
-    jobs: Number = None,
+    jobs: OtherNumber = None,
     cluster: Text = None,
     interface: Text = None,
-    more: Played = PLAYED,
+    more: PlayOptions = PLAYED,
 ) -> None:
-    """Let agents play many scenarios; keep all in a store, and print a ranking.
+    """Let agents play many scenarios; keep every episode in a store, print a ranking.
 
     Args:
         agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
@@ -261,7 +243,7 @@ def benchmark(
     ranking.print_ranking(make_console(), out)
     if failed:
         number = "a cell" if len(failed) == 1 else f"{len(failed)} cells"
-        _note(f"{number} failed, and counts as no success: {failed[0]}")
+        _print_line(f"{number} failed, and counts as no success: {failed[0]}")
         raise SystemExit(1)
 
 
@@ -272,12 +254,12 @@ def adapt(
     keep: Names = (),
     rate: Shares = (0.2,),
     retention: Shares = (0.98,),
-    subjects: Seed = 20,
-    seed: Seed = 0,
+    subjects: Number = 20,
+    seed: Number = 0,
     lengths_in: Unit = "lengths",
     out: Place = Path("runs/adapt"),
-    jobs: Number = None,
-    more: Played = PLAYED,
+    jobs: OtherNumber = None,
+    more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents learn over the trials of an experiment; print a table, write data and figure.
 
@@ -324,7 +306,7 @@ def report(
     format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
     lengths_in: Unit = "lengths",
 ) -> None:
-    """Write the report of a benchmark or of experiments: one file that needs nothing beside it.
+    """Write the report of a benchmark or of experiments: one HTML file, complete in itself.
 
     Args:
         store: Folder of benchmark or adapt.
@@ -344,13 +326,13 @@ def report(
 def train(
     name: Annotated[Positional[str], _arg("NAME")] = "",
     env: Text = None,
-    seed: Seed = 0,
-    steps: Number = None,
+    seed: Number = 0,
+    steps: OtherNumber = None,
     out: OtherPlace = None,
     resume: Switch = False,
     tensorboard: OtherPlace = None,
     device: Annotated[str, _arg("TEXT")] = "cpu",
-    more: World = WORLD,
+    more: EnvironmentOptions = IN_ENVIRONMENT,
 ) -> None:
     """Train an agent with YAML hyperparameters; --resume continues a killed training.
 
@@ -371,7 +353,7 @@ def train(
     folder = out or Path("runs") / file_stem(Path(name).stem, seed)
     checkpoint = folder / training.CHECKPOINT
     if resume and not checkpoint.exists():
-        _note(f"nothing to resume, as there is no {checkpoint}: training begins")
+        _print_line(f"nothing to resume, as there is no {checkpoint}: training begins")
     with progress_bar() as bar:
         task = bar.add_task(folder.name)
 
@@ -406,8 +388,8 @@ def train(
 def play(
     agents: Names = ("mmc",),
     scenarios: Names = ("random",),
-    seed: Number = None,
-    more: Played = PLAYED,
+    seed: OtherNumber = None,
+    more: PlayOptions = PLAYED,
 ) -> None:
     """Open a window in which the mouse is the target of an agent's arm.
 
@@ -430,7 +412,7 @@ def list_(
     what: Positional[
         Literal["agents", "tasks", "perturbations", "scenarios", "experiments", "measures"]
     ],
-    more: Imports = NO_IMPORTS,
+    more: ImportOptions = NO_IMPORTS,
 ) -> None:
     """List the available agents, tasks, ..., a line each: name, description and needs.
 
@@ -445,7 +427,9 @@ def list_(
 
 
 @_command
-def show(scenario: Annotated[Positional[str], _arg("NAME")], more: Imports = NO_IMPORTS) -> None:
+def show(
+    scenario: Annotated[Positional[str], _arg("NAME")], more: ImportOptions = NO_IMPORTS
+) -> None:
     """Describe a scenario or an experiment: how to make it, what happens, what agents are given.
 
     Args:
@@ -462,11 +446,11 @@ def show(scenario: Annotated[Positional[str], _arg("NAME")], more: Imports = NO_
 def record(
     agents: Names = ("mmc",),
     scenarios: Names = ("random",),
-    episodes: Seed = 1,
-    seed: Seed = 0,
+    episodes: Number = 1,
+    seed: Number = 0,
     out: Place = Path("runs/film.gif"),
     interface: Text = None,
-    more: Played = PLAYED,
+    more: PlayOptions = PLAYED,
 ) -> None:
     """Write a film of an agent at work, as .gif or .mp4; this needs no display.
 
@@ -508,7 +492,7 @@ def main(arguments: list[str] | None = None) -> None:
             message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1
         elif isinstance(error, MemoryError):
             message = f"not enough memory. {message}"
-        _note(message)
+        _print_line(message)
         raise SystemExit(status) from error
 
 
@@ -519,7 +503,7 @@ def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         print(f"mmc-gym {version('mmc-gym')}")
         return
-    arguments = _spelt(arguments)
+    _check_words(arguments)
     config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
     with warnings.catch_warnings():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
@@ -550,7 +534,7 @@ def _show_warning(
 ) -> None:
     """Print a `MismatchWarning` as errors are printed: without its place in the code."""
     if issubclass(category, MismatchWarning):
-        _note(str(message))
+        _print_line(str(message))
     else:
         usual(message, category, *place)
 
