@@ -12,10 +12,10 @@ from mmc_gym.agents import make_agent
 from mmc_gym.envs import make, make_vec
 
 if TYPE_CHECKING:
-    from mmc_gym import agents, benchmark, body, measures, network, report, training
+    from mmc_gym import agents, benchmark, body, experiments, measures, network, report, training
     from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.benchmark.compare import compare
-    from mmc_gym.benchmark.trials import run_experiment
+    from mmc_gym.experiments.trials import run_experiment
     from mmc_gym.listing import (
         list_agents,
         list_experiments,
@@ -37,6 +37,7 @@ __all__ = [
     "body",
     "compare",
     "envs",
+    "experiments",
     "list_agents",
     "list_experiments",
     "list_measures",
@@ -66,7 +67,7 @@ _HOMES = {
     "list_scenarios": "listing",
     "list_tasks": "listing",
     "run_episodes": "measures",
-    "run_experiment": "benchmark.trials",
+    "run_experiment": "experiments.trials",
     "train": "training.training",
 }
 

@@ -275,7 +275,7 @@ def adapt(
         out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
-    from mmc_gym.benchmark import trials
+    from mmc_gym.experiments import trials
 
     shared = more.load()
     with progress_bar() as bar:

@@ -100,7 +100,7 @@ def list_scenarios() -> Listing:
 
 def list_experiments() -> Listing:
     """Return the names of experiments over trials, each of any strength."""
-    from mmc_gym.benchmark.experiment import EXPERIMENTS, find_experiment
+    from mmc_gym.experiments.experiment import EXPERIMENTS, find_experiment
 
     found = {name: find_experiment(name) for name in EXPERIMENTS}
     rows = (
@@ -135,7 +135,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
             f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "
             "it, `mmc-gym list scenarios` has what can be shown"
         )
-    from mmc_gym.benchmark.experiment import find_experiment
+    from mmc_gym.experiments.experiment import find_experiment
 
     rows: list[tuple[str, str]] = []
     with suppress(UserError):

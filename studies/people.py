@@ -21,15 +21,15 @@ from rich.markup import escape
 from rich.progress import track
 
 from mmc_gym.agents.body_model.agent import Parts, ik_body
-from mmc_gym.benchmark.adaptation import (
+from mmc_gym.benchmark.statistics import bootstrap_interval
+from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.experiments.adaptation import (
     beside_people,
     draw_beside_people,
     learning_figure,
     learning_table,
 )
-from mmc_gym.benchmark.statistics import bootstrap_interval
-from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.benchmark.trials import ExperimentResult, run_experiment
+from mmc_gym.experiments.trials import ExperimentResult, run_experiment
 from mmc_gym.measures import MEASURES, SET_MEASURES
 from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from studies.body_model.playing import body_model, play

@@ -8,12 +8,12 @@ import pytest
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.benchmark.experiment import EXPERIMENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import scenario
 from mmc_gym.envs.tasks import TASKS
+from mmc_gym.experiments.experiment import EXPERIMENTS
 from mmc_gym.listing import describe
 from mmc_gym.measures import MEASURES
 

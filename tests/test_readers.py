@@ -15,9 +15,9 @@ from mmc_gym._files import YAML_MOST, read_yaml
 from mmc_gym.agents import resolve
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
-from mmc_gym.benchmark import trials
-from mmc_gym.benchmark.experiment import TRIALS_MOST, Block, Experiment, find_experiment
 from mmc_gym.benchmark.store import Kept, read_table, to_parquet
+from mmc_gym.experiments import trials
+from mmc_gym.experiments.experiment import TRIALS_MOST, Block, Experiment, find_experiment
 from mmc_gym.network import LearnedNormalizer
 from mmc_gym.network.normalizers import WEIGHTS
 from mmc_gym.report import write_report

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mmc_gym
-from mmc_gym.benchmark.experiment import Block, Experiment
+from mmc_gym.experiments.experiment import Block, Experiment
 
 # %%
 # One experiment for each size of the error, with the same subjects. Hands are measured after 0.2 s.

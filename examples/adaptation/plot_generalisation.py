@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mmc_gym
-from mmc_gym.benchmark.experiment import Block, Experiment, Probe
+from mmc_gym.experiments.experiment import Block, Experiment, Probe
 
 # %%
 # Every second trial is a probe, before and after learning.

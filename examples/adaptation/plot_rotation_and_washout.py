@@ -10,7 +10,7 @@ after-effect shows that something was kept; a mere correction in flight leaves n
 import matplotlib.pyplot as plt
 
 import mmc_gym
-from mmc_gym.benchmark.experiment import Block, Experiment
+from mmc_gym.experiments.experiment import Block, Experiment
 
 # %%
 # An experiment is data: blocks of trials. This one is shorter than ``rotation-30``, which ships.

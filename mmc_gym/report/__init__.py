@@ -32,8 +32,8 @@ from mmc_gym.report.results import Results, count, listed, read_results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mmc_gym.benchmark.adaptation import LengthUnit
-    from mmc_gym.benchmark.trials import ExperimentResult
+    from mmc_gym.experiments.adaptation import LengthUnit
+    from mmc_gym.experiments.trials import ExperimentResult
 
 __all__ = ["write_report"]
 
@@ -71,7 +71,7 @@ def write_report(
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
     experiments: list[ExperimentResult] = []
     if (Path(store) / TRIALS).exists():
-        from mmc_gym.benchmark.trials import read_experiments  # takes long, as does matplotlib
+        from mmc_gym.experiments.trials import read_experiments  # takes long, as does matplotlib
 
         experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
     if experiments and not (Path(store) / MANIFEST).exists():

@@ -19,7 +19,7 @@ from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
 
 if TYPE_CHECKING:
-    from mmc_gym.benchmark.trials import ExperimentResult
+    from mmc_gym.experiments.trials import ExperimentResult
 
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
@@ -354,7 +354,10 @@ def _kept(mine: pd.DataFrame, measure: SetMeasure) -> TableCell:
 
 def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     """Return the measures of learning of agents in an experiment, below those of people."""
-    from mmc_gym.benchmark.adaptation import settings_note, settings_of  # takes long, as matplotlib
+    from mmc_gym.experiments.adaptation import (  # takes long, as matplotlib
+        settings_note,
+        settings_of,
+    )
 
     name, measures = result.experiment.name, result.measures
     facts = measures.drop_duplicates("measure").to_dict("records")

@@ -12,7 +12,7 @@ from mmc_gym.measures.episode import Floats
 
 
 class TwoStates(NamedTuple):
-    """Parameters of a learner, see `mmc_gym.measures.learning.fit_two_states`."""
+    """Parameters of a learner, see `mmc_gym.experiments.learning.fit_two_states`."""
 
     A_f: float
     A_s: float

@@ -18,7 +18,7 @@ import tyro
 from rich.console import Console
 
 from mmc_gym.benchmark.statistics import percentile_interval, resampled_means
-from mmc_gym.measures.learning import (
+from mmc_gym.experiments.learning import (
     TWO_STATES,
     fit_exponential,
     fit_two_states,

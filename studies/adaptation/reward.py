@@ -27,8 +27,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
 import mmc_gym
+from mmc_gym.experiments.learning import initial_direction
 from mmc_gym.measures import run_episodes
-from mmc_gym.measures.learning import initial_direction
 
 STEPS = 50  # of a trial
 DIRECTIONS = 8

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mmc_gym._errors import UserError
-from mmc_gym.benchmark.experiment import Block, Experiment
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
-from mmc_gym.benchmark.trials import run_experiment
 from mmc_gym.cli import main
+from mmc_gym.experiments.experiment import Block, Experiment
+from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.report import write_report
 from mmc_gym.report.replay import replay
 from mmc_gym.report.results import read_results

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.adaptation import QUANTITIES, Learning, measure_learning
-from mmc_gym.measures import MEASURES, SET_MEASURES
-from mmc_gym.measures.catalogue import people
-from mmc_gym.measures.learning import (
+from mmc_gym.experiments.adaptation import QUANTITIES, Learning, measure_learning
+from mmc_gym.experiments.learning import (
     TWO_STATES,
     correction_gain,
     correction_latency,
@@ -18,6 +16,8 @@ from mmc_gym.measures.learning import (
     initial_direction,
     lateral_deviation,
 )
+from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.measures.catalogue import people
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.learners import TwoStates, simulate_learners
 

@@ -40,18 +40,18 @@ from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent, Parts
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
-from mmc_gym.benchmark.adaptation import (
-    LengthUnit,
-    learning_figure,
-    learning_table,
-    print_learning,
-)
-from mmc_gym.benchmark.experiment import Experiment, PlannedTrial, find_experiment
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
+from mmc_gym.experiments.adaptation import (
+    LengthUnit,
+    learning_figure,
+    learning_table,
+    print_learning,
+)
+from mmc_gym.experiments.experiment import Experiment, PlannedTrial, find_experiment
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 

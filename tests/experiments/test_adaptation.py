@@ -8,14 +8,14 @@ import pytest
 from rich.console import Console
 
 from mmc_gym._errors import UserError
-from mmc_gym.benchmark.adaptation import (
+from mmc_gym.benchmark.statistics import resampled_means
+from mmc_gym.experiments.adaptation import (
     learning_figure,
     learning_of,
     learning_table,
     print_learning,
 )
-from mmc_gym.benchmark.experiment import Block, Experiment, Probe
-from mmc_gym.benchmark.statistics import resampled_means
+from mmc_gym.experiments.experiment import Block, Experiment, Probe
 from mmc_gym.measures.catalogue import PEOPLE
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.learners import TwoStates, simulate_learners

@@ -1,6 +1,6 @@
 """Experiments over trials: blocks with perturbations, probes and rests, as data.
 
-    Experiment  ->  schedule: what happens in each trial  ->  mmc_gym.benchmark.trials plays it
+    Experiment  ->  schedule: what happens in each trial  ->  mmc_gym.experiments.trials plays it
 
 All trials are centre-out: they start in one posture, and the targets lie around the hand.
 Experiments after classic ones have names, with a strength as scenarios have: `rotation-30`.
@@ -274,7 +274,7 @@ class Experiment:
 
 
 EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(
-    files("mmc_gym.benchmark").joinpath("experiments.yml").read_text(encoding="utf-8")
+    files("mmc_gym.experiments").joinpath("experiments.yml").read_text(encoding="utf-8")
 )
 """Experiments after classic ones, by name; `{}` stands for the strength."""
 

@@ -24,9 +24,7 @@ from mmc_gym._console import cell, make_console, print_columns
 from mmc_gym._errors import require_choice
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure
 from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
-from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
-from mmc_gym.measures.episode import Floats
-from mmc_gym.measures.learning import (
+from mmc_gym.experiments.learning import (
     TWO_STATES,
     correction_gain,
     correction_latency,
@@ -36,9 +34,11 @@ from mmc_gym.measures.learning import (
     initial_direction,
     lateral_deviation,
 )
+from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
+from mmc_gym.measures.episode import Floats
 
 if TYPE_CHECKING:
-    from mmc_gym.benchmark.trials import ExperimentResult
+    from mmc_gym.experiments.trials import ExperimentResult
 
 RESAMPLES = 500
 AT_START, AT_END = 4, 10  # trials whose mean is the level at the start or end of a block
@@ -103,7 +103,7 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
       over the 10 before it.
     - clamp_asymptote: of the last 10 trials whose error is clamped and not 0, see Morehead et al.
       (2017), J. Cogn. Neurosci. 29, 1061.
-    - others: see `mmc_gym.measures.learning`.
+    - others: see `mmc_gym.experiments.learning`.
     """
     found = {one.name: np.full(of.adaptation.shape[:-1], math.nan) for one in QUANTITIES}
     found["deviation"][...] = of.deviation

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from mmc_gym._errors import UserError
-from mmc_gym.benchmark.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
 from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.experiments.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
 
 YAML = """
 name: mine
