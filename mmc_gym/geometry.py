@@ -1,4 +1,4 @@
-"""Geometry of an arm in the plane: angles, nodes, and what is within its reach.
+"""Geometry of an arm: angles, nodes, what is within its reach, and steps towards a target.
 
 Lengths are in segment lengths, angles in radians; arrays have leading batch axes.
 """
@@ -82,3 +82,20 @@ def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Float
     radius = np.clip(distance, inner, outer)
     nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
     return np.where(outside[..., None], nearest, target)
+
+
+def damped_least_squares(jacobian: Floats, error: Floats, damping: float) -> Floats:
+    """Return the change of joint angles Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, shape (..., N).
+
+    Args:
+        jacobian: J, derivatives of the hand's position by the joint angles, (..., 2 or 3, N).
+        error: e, what the position lacks, (..., 2 or 3).
+        damping: λ, in units of the lengths; |Δq| is at most |e| / (2 λ), at singularities too.
+
+    >>> damped_least_squares(np.array([[0.0, 0.0], [2.0, 1.0]]), np.array([0.0, 0.5]), 0.1).round(3)
+    array([0.2, 0.1])
+    """
+    transposed = np.swapaxes(jacobian, -1, -2)
+    damped = jacobian @ transposed + damping**2 * np.eye(jacobian.shape[-2])
+    change: Floats = (transposed @ np.linalg.solve(damped, error[..., None]))[..., 0]
+    return change
