@@ -64,7 +64,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(?!mmc_gym\.).*"),
     # Private classes, parts and states of agents, and bases: annotations name them.
     (r"py:.*", r"mmc_gym\.(\w+\.)*_\w+"),
-    (r"py:.*", r"mmc_gym\.agents\.(body_model\.(?!agent\.).*|\w+\.(Belief|SavedModel))"),
+    (r"py:.*", r"mmc_gym\.agents\.(body_model\.(?!(agent|parts)\.).*|\w+\.(Belief|SavedModel))"),
     (r"py:.*", r"mmc_gym\.agents\.([a-z_]+\.)+\w+State"),
     (r"py:.*", r"mmc_gym\.envs\.(spec\.(Options|ReachEnvironment)|reach\.GoalEnvironment)"),
     (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),

@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
 
-from mmc_gym.agents.body_model.agent import Parts, ik_body
+from mmc_gym.agents.body_model.agent import ik_body
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.experiments.adaptation import (

@@ -11,7 +11,8 @@ neither: it identifies both, and its network settles in postures that hold the e
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mmc_gym.agents.body_model.agent import Parts, mmc_body
+from mmc_gym.agents.body_model.agent import mmc_body
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.body_model.spatial import lengthened
 from mmc_gym.interface import ReachInterface, Seen
 from mmc_gym.robots import HingeArm

@@ -173,7 +173,7 @@ class Experiment:
     #: of the servos, mass · length² / s²; None: that of the arm
     torque_limit: Annotated[float, Gt(0)] | None = None
     noise: Perturbations = ()  #: perturbations of all trials, such as noise of the senses
-    #: of agents that have one (`body_model.agent.Parts`); 0 as people move
+    #: of agents that have one (`body_model.parts.Parts`); 0 as people move
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
     def __post_init__(self) -> None:

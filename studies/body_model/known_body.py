@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, Parts, network_of_body
+from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, network_of_body
 from mmc_gym.agents.body_model.body import PLACED, Body, Locks
 from mmc_gym.agents.body_model.imagination import settled_network
+from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import ReachInterface, Seen, Sensed
-
-ALL = Parts()
 
 
 class KnownBody(BodyAgent):
@@ -30,7 +29,7 @@ class KnownBody(BodyAgent):
 
     control = "joint_position"  # the control mode in which `mmc-body` is compared
 
-    def __init__(self, env: Any, parts: Parts = ALL) -> None:
+    def __init__(self, env: Any, parts: Parts = ALL_PARTS) -> None:
         """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)
         parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)

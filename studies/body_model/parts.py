@@ -25,9 +25,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body, network_of_body
+from mmc_gym.agents.body_model.agent import ik_body, mmc_body, network_of_body
 from mmc_gym.agents.body_model.arm import hand
 from mmc_gym.agents.body_model.imagination import SETTLE
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.geometry import segments_from_joint_angles

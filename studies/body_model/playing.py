@@ -11,7 +11,8 @@ import numpy as np
 
 from mmc_gym import MismatchWarning
 from mmc_gym.agents.base import Agent
-from mmc_gym.agents.body_model.agent import Parts, mmc_body
+from mmc_gym.agents.body_model.agent import mmc_body
+from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.resolver import resolve_all
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import make_player
@@ -25,10 +26,10 @@ Make: TypeAlias = Callable[[Any], Agent[Any]]
 Played: TypeAlias = list[tuple[Episode, ...]]
 """The episodes of an agent, by training; agents without training have one entry."""
 
-ALL = Parts()
 
-
-def body_model(parts: Parts = ALL, build: Callable[..., Agent[Any]] = mmc_body, **how: Any) -> Make:
+def body_model(
+    parts: Parts = ALL_PARTS, build: Callable[..., Agent[Any]] = mmc_body, **how: Any
+) -> Make:
     """Return a function that makes an agent with a body model of these parts."""
     return lambda env: build(ReachInterface.of(env), parts, **how)
 

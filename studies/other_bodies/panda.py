@@ -29,7 +29,8 @@ from sb3_contrib import TQC
 
 from examples.panda_reach import BASE, TURN, Encoders, PandaReach
 from mmc_gym import make_agent
-from mmc_gym.agents.body_model.agent import Parts, ik_body
+from mmc_gym.agents.body_model.agent import ik_body
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.robots import HingeArm, HingeNetwork
 from studies.other_bodies.panda_bodies import NEUTRAL, changed_urdf, make_env
 from studies.tables import table_of

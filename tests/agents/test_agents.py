@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.body_model.agent import Parts
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
 from mmc_gym.agents.policy import shipped_file

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.arm import command_of, commanded_turn
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.obstacles import LONG, MOST, NOWHERE, RADIUS, SHORT, Contacts, room
+from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.interface import ReachInterface
@@ -23,7 +24,6 @@ from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 
 STEP = 0.02
 ARMS = 20
-ALL = Parts()
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
 
 
@@ -226,7 +226,7 @@ def test_actions_are_valid_whatever_is_observed(count, seed, build):
         assert env.action_space.contains(action)
 
 
-def episodes(build, count=50, parts=ALL, id="MMCReach-v0", **arguments):
+def episodes(build, count=50, parts=ALL_PARTS, id="MMCReach-v0", **arguments):
     envs = gym.make_vec(id, num_envs=count, control="joint_position", **arguments)
     agent = build(ReachInterface.of(envs), parts)
     return list(run_episodes(agent, envs.unwrapped, episode_seeds(4, count), records_effort=False))
@@ -240,8 +240,8 @@ def success(played):
     ("build", "parts", "perturbation", "least"),
     [
         (ik_body, Parts(imagines=False, drives=False), "longer-20", 1.0),
-        (ik_body, ALL, "obstacles-2", 0.8),
-        (ik_body, ALL, "delay-200", 0.9),
+        (ik_body, ALL_PARTS, "obstacles-2", 0.8),
+        (ik_body, ALL_PARTS, "delay-200", 0.9),
         (mmc_body, Parts(vigour=0.0), "locked-2", 0.9),
     ],
 )
@@ -279,7 +279,7 @@ def test_a_part_that_is_off_changes_nothing_where_it_has_nothing_to_do(
     part, others, tolerance, control
 ):
     for perturbations in ((), others):
-        actions = actions_of(ALL, perturbations, control)
+        actions = actions_of(ALL_PARTS, perturbations, control)
         without = actions_of(Parts(**{part: False}), perturbations, control)
         assert np.abs(actions - without).max() <= tolerance, perturbations
 

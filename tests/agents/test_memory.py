@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from mmc_gym._errors import UserError
-from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.obstacles import Contacts
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.interface import ReachInterface

@@ -18,16 +18,13 @@ Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require, require_number, require_numbers, spelt
 from mmc_gym.agents.base import InternalModelAgent, every, some, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
@@ -43,6 +40,7 @@ from mmc_gym.agents.body_model.imagination import (
 )
 from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
+from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
@@ -53,54 +51,6 @@ LAG = 1.5  # control steps until the joints are where a command takes them
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 BETWEEN = -1  # looks of a state between two movements
-
-
-@spelt
-@dataclass(frozen=True)
-class Parts:
-    """Which parts an agent has, and how vigorous it is."""
-
-    filters: bool = True  #: whether noise is filtered, and moving targets are predicted
-    bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
-    #: whether lengths and a turned cursor are identified; else the given ones are used
-    identifies_body: bool = True
-    finds_locks: bool = True  #: whether locked joints are found
-    imagines: bool = True  #: whether several models settle; else one, from the present posture
-    drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
-    avoids: bool = True  #: whether contacts are remembered, and ways round them planned
-    vigour: float = 1.0  #: 1 as fast as servos allow, 0 as people: slower, with a bell-shaped speed
-    #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
-    #: several states, such as a fast one and a slow one, together at most 1.  At 1 all is learned
-    #: within the movement.
-    rate: tuple[float, ...] = (1.0,)
-    #: share of it that is left for the next movement, of each state.  At 0 nothing is.
-    retention: tuple[float, ...] = (0.0,)
-    #: of the directions for which it is learned, about the one where the target is when the
-    #: movement begins: standard deviation of a Gaussian, degrees
-    width: float = math.inf
-    largest_error: float = math.inf  #: angle beyond which an error counts no more, degrees
-
-    def __post_init__(self) -> None:
-        accepted = "a number between 0 and 1"
-        require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
-        for name in ("width", "largest_error"):
-            require_number(name, getattr(self, name), "positive", lambda number: number > 0)
-        accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
-        for name in ("rate", "retention"):
-            numbers = require_numbers(name, getattr(self, name), accepted, _are_shares)
-            object.__setattr__(self, name, numbers)
-        count, total = len(self.rate), sum(self.rate)
-        require(len(self.retention) == count, "retention", self.retention, f"{count}, as of rate")
-        require(total <= 1, "rate", self.rate, "at most 1 together")
-
-    @cached_property
-    def learns(self) -> bool:
-        """Whether anything is learned from movement to movement."""
-        return any(self.retention) or sum(self.rate) < 1
-
-
-def _are_shares(numbers: tuple[float, ...]) -> bool:
-    return len(numbers) > 0 and all(0 <= number <= 1 for number in numbers)
 
 
 class BodyState(NamedTuple):
@@ -123,7 +73,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
 
     sees_all = True
 
-    def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
+    def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = ALL_PARTS) -> None:
         """Make the agent; `solver` is its internal model.  It cannot act under torque control."""
         super().__init__(interface)
         self.parts = parts
@@ -335,7 +285,7 @@ def _points(vectors: Floats) -> Points:
 
 
 def mmc_body(
-    interface: ReachInterface, parts: Parts = Parts(), **settings: Any
+    interface: ReachInterface, parts: Parts = ALL_PARTS, **settings: Any
 ) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is the MMC network, see `network_of_body`."""
     if interface.arm is not None:
@@ -359,7 +309,7 @@ def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
 
 
 def ik_body(
-    interface: ReachInterface, parts: Parts = Parts()
+    interface: ReachInterface, parts: Parts = ALL_PARTS
 ) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is damped least squares."""
     if interface.arm is not None:

@@ -34,7 +34,7 @@ correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,10 +43,8 @@ from mmc_gym.agents.base import where
 from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
 from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.imagination import pulled
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats
-
-if TYPE_CHECKING:
-    from mmc_gym.agents.body_model.agent import Parts
 
 FIRM = 0.05  # damping of the correction, segment lengths
 DIRECTIONS = 144  # with a belief of their own, if it does not hold in all

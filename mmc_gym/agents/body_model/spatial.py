@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,10 @@ from typing_extensions import override
 from mmc_gym.agents.base import InternalModelAgent
 from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.robots import HingeArm, HingeNetwork
-
-if TYPE_CHECKING:
-    from mmc_gym.agents.body_model.agent import Parts
 
 Solver: TypeAlias = Callable[[HingeArm, Floats, Floats, Bools, float], Floats]
 """Postures (m, n) with the hand at a target (3,) within a tolerance, the last argument.

@@ -1,0 +1,61 @@
+"""The parts of a body agent that can be switched, and how it moves and learns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from mmc_gym._errors import require, require_number, require_numbers, spelt
+
+
+@spelt
+@dataclass(frozen=True)
+class Parts:
+    """Which parts an agent has, and how vigorous it is."""
+
+    filters: bool = True  #: whether noise is filtered, and moving targets are predicted
+    bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
+    #: whether lengths and a turned cursor are identified; else the given ones are used
+    identifies_body: bool = True
+    finds_locks: bool = True  #: whether locked joints are found
+    imagines: bool = True  #: whether several models settle; else one, from the present posture
+    drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
+    avoids: bool = True  #: whether contacts are remembered, and ways round them planned
+    vigour: float = 1.0  #: 1 as fast as servos allow, 0 as people: slower, with a bell-shaped speed
+    #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
+    #: several states, such as a fast one and a slow one, together at most 1.  At 1 all is learned
+    #: within the movement.
+    rate: tuple[float, ...] = (1.0,)
+    #: share of it that is left for the next movement, of each state.  At 0 nothing is.
+    retention: tuple[float, ...] = (0.0,)
+    #: of the directions for which it is learned, about the one where the target is when the
+    #: movement begins: standard deviation of a Gaussian, degrees
+    width: float = math.inf
+    largest_error: float = math.inf  #: angle beyond which an error counts no more, degrees
+
+    def __post_init__(self) -> None:
+        accepted = "a number between 0 and 1"
+        require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
+        for name in ("width", "largest_error"):
+            require_number(name, getattr(self, name), "positive", lambda number: number > 0)
+        accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
+        for name in ("rate", "retention"):
+            numbers = require_numbers(name, getattr(self, name), accepted, _are_shares)
+            object.__setattr__(self, name, numbers)
+        count, total = len(self.rate), sum(self.rate)
+        require(len(self.retention) == count, "retention", self.retention, f"{count}, as of rate")
+        require(total <= 1, "rate", self.rate, "at most 1 together")
+
+    @cached_property
+    def learns(self) -> bool:
+        """Whether anything is learned from movement to movement."""
+        return any(self.retention) or sum(self.rate) < 1
+
+
+def _are_shares(numbers: tuple[float, ...]) -> bool:
+    return len(numbers) > 0 and all(0 <= number <= 1 for number in numbers)
+
+
+ALL_PARTS = Parts()
+"""The parts of an agent by default."""
