@@ -91,7 +91,7 @@ def test_a_hyperparameter_file_imports_no_environment(bait, tmp_path):
     with pytest.raises(UserError, match="may run any code"):
         read_recipe(str(file))
     file.write_text("MMCReach-v0: {n_timesteps: 10, policy: 'bait:Policy'}\n")
-    with pytest.raises(UserError, match="policy 'bait:Policy' is not accepted"):
+    with pytest.raises(UserError, match="policy must be MlpPolicy"):
         _ = read_recipe(str(file)).settings
 
 

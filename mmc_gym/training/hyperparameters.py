@@ -8,13 +8,15 @@ constructor (`PPO`, `SAC` or `TQC`), and
     env_kwargs        arguments of the environment
     vec_env_wrapper   a wrapper around them, a mapping of it to its arguments, or a list of these
 
-Values are those of the constructor.  In addition, any schedule may be `lin_START`, which falls
-linearly to 0; `policy_kwargs` may be a text `dict(net_arch=[64], activation_fn=nn.ReLU)`; and
-classes are given by the names in `Recipe.classes`.  No code from a file is run.
+Values are those of the constructor, and checked by its annotations.  In addition, any schedule may
+be `lin_START`, which falls linearly to 0; `policy_kwargs` may be a text
+`dict(net_arch=[64], activation_fn=nn.ReLU)`; and classes are given by the names in
+`Recipe.classes`.  No code from a file is run.
 """
 
 from __future__ import annotations
 
+import ast
 import inspect
 import math
 from collections.abc import Mapping
@@ -25,18 +27,26 @@ from functools import partial
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium as gym
-from pydantic import ConfigDict, Field, ValidationError, create_model
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
-from mmc_gym._errors import UserError, explain, require, require_whole, shown, unknown
-from mmc_gym._files import read_yaml, read_yaml_file
+from mmc_gym._errors import (
+    UserError,
+    explain,
+    require,
+    require_known,
+    require_whole,
+    shown,
+    unknown,
+)
+from mmc_gym._files import read_yaml_file
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
 
@@ -44,15 +54,8 @@ ALGORITHMS: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc
 SUFFIXES = (".yml", ".yaml")
 _SHIPPED = Path(str(files("mmc_gym.training") / "hyperparams"))
 
-Count = Annotated[int, Field(ge=1)]
-_OWN: dict[str, Any] = {  # keys that are not arguments of the algorithm: type, default
-    "n_timesteps": (Count, ...),
-    "policy": (Any, ...),
-    "n_envs": (Count, 1),
-    "env_kwargs": (dict[str, Any], {}),
-    "vec_env_wrapper": (Any, None),
-}
-_OURS = ("self", "env", "seed", "device", "tensorboard_log", "_init_setup_model")  # not in files
+_ENTRIES = TypeAdapter(Annotated[dict[str, dict[str, Any]], Field(min_length=1)])
+_NOT_IN_FILES = ("self", "env", "seed", "device", "tensorboard_log", "_init_setup_model")
 
 
 @dataclass(frozen=True)
@@ -90,19 +93,15 @@ class Recipe:
     @property
     def settings(self) -> dict[str, Any]:
         """All keys with their values, converted to what the constructor takes, or its defaults."""
-        parameters = _parameters(self.algorithm_class)
-        fields = {**{key: (one.annotation, one.default) for key, one in parameters.items()}, **_OWN}
-        for key in self.hyperparameters:
-            if key not in fields:
-                raise unknown(f"{self.name}: hyperparameter", key, fields)
+        keys = _keys(self.algorithm_class)
+        require_known(self.name, self.hyperparameters, keys)
+        config = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
         try:
+            entry = create_model(self.name, __config__=config, **keys)
             # A copy, because stable-baselines3 changes its arguments.
-            given = {key: self._read(key, deepcopy(v)) for key, v in self.hyperparameters.items()}
-            config = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
-            checked = create_model(self.name, __config__=config, **fields).model_validate(given)
+            return dict(entry.model_validate(deepcopy(self.hyperparameters)))
         except ValidationError as error:
             raise UserError(f"hyperparameters of {self.name}: {explain(error)}") from error
-        return dict(checked)
 
     def steps_per_leg(self, evaluations: int) -> int:
         """Return the environment steps of a leg: whole rollouts, between two evaluations."""
@@ -117,14 +116,13 @@ class Recipe:
         if issubclass(self.algorithm_class, OffPolicyAlgorithm):
             frequency = settings["train_freq"]
             count, unit = frequency if isinstance(frequency, tuple) else (frequency, "step")
-            rollout = require_whole("train_freq", count) * (steps if unit == "episode" else 1)
+            rollout = count * (steps if unit == "episode" else 1)
             # Hindsight learns from whole episodes: a leg must not end within one.
             rollout = math.lcm(rollout, steps) if settings["replay_buffer_class"] else rollout
         else:
-            rollout = require_whole("n_steps", settings["n_steps"])
+            rollout = settings["n_steps"]
         whole: int = rollout * settings["n_envs"]
-        leg: int = math.ceil(settings["n_timesteps"] / whole / evaluations) * whole
-        return leg
+        return math.ceil(settings["n_timesteps"] / whole / evaluations) * whole
 
     def make_model(
         self, env: VecEnv, seed: int, device: str = "cpu", tensorboard: str | None = None
@@ -132,17 +130,16 @@ class Recipe:
         """Return an untrained model, which logs to the folder `tensorboard`."""
         settings = self.settings
         # The constructor itself has the defaults of the keys that are not in the file.
-        options = {key: settings[key] for key in self.hyperparameters if key not in _OWN}
+        options = {key: settings[key] for key in self.hyperparameters if key not in _OUR_KEYS}
         try:
-            for wrap in settings["vec_env_wrapper"] or ():
-                env = wrap(env)
+            for wrapper, arguments in settings["vec_env_wrapper"]:
+                env = wrapper(env, **arguments)
             return self.algorithm_class(
-                settings["policy"],
-                VecMonitor(env),
-                **options,
+                env=VecMonitor(env),
                 seed=seed,
                 device=device,
                 tensorboard_log=tensorboard,
+                **options,
             )
         except UserError:
             raise
@@ -152,51 +149,90 @@ class Recipe:
                 f"got {shown(self.hyperparameters)}: {type(error).__name__}: {error}"
             ) from error
 
-    def _read(self, key: str, value: Any) -> Any:
-        """Convert a value of the file to what Python code would give to the constructor."""
-        if isinstance(value, str):
-            with suppress(ValueError):  # a number; to YAML 1e-3 is a text
-                number = float(value.removeprefix("lin_"))
-                # A schedule is a function of the part that remains, from 1 to 0.
-                return partial(mul, number) if value.startswith("lin_") else number
-        if key == "policy" and value != "MlpPolicy":
-            plain = self.algorithm_class.policy_aliases["MlpPolicy"]
-            return self._class(key, value, plain, "MlpPolicy")
-        if key == "replay_buffer_class" and value is not None:
-            return self._class(key, value, HerReplayBuffer)
-        if key == "vec_env_wrapper" and value is not None:
-            return [self._wrapper(part) for part in (value if isinstance(value, list) else [value])]
-        if key == "policy_kwargs":
-            return self._policy_options(value)
-        return value
 
-    def _class(self, key: str, name: object, base: type, *also: str) -> Any:
-        known = {each: kind for each, kind in self.classes.items() if issubclass(kind, base)}
+def _parse_number(value: Any) -> Any:
+    """Return the number, or the schedule `lin_START`, that a text stands for; or the value."""
+    if isinstance(value, str):
+        with suppress(ValueError):  # to YAML 1e-3 is a text
+            number = float(value.removeprefix("lin_"))
+            # A schedule is a function of the part that remains, from 1 to 0.
+            return partial(mul, number) if value.startswith("lin_") else number
+    return value
+
+
+def _class_from(base: type, *plain: str) -> Any:
+    """Return the type of a key that names a class in `Recipe.classes` which derives from `base`.
+
+    Names in `plain` stay texts.
+    """
+
+    def parse(name: Any) -> Any:
+        known: dict[str, Any] = {each: each for each in plain}
+        known |= {each: one for each, one in Recipe.classes.items() if issubclass(one, base)}
+        if name is None:
+            return None
         if not isinstance(name, str) or name not in known:
             yours = "what a module of yours adds to Recipe.classes"
-            raise unknown(f"{self.name}: {key}", name, (*also, *known), yours)
+            raise ValueError(f"must be {', '.join(known)}, or {yours}")
         return known[name]
 
-    def _wrapper(self, part: Any) -> partial[VecEnvWrapper]:
-        """Read the name of a wrapper, or a mapping of it to its arguments."""
-        has_arguments = isinstance(part, dict) and len(part) == 1
-        name, arguments = next(iter(part.items())) if has_arguments else (part, None)
-        kind, arguments = self._class("vec_env_wrapper", name, VecEnvWrapper), arguments or {}
-        require(isinstance(arguments, dict), f"{self.name}: {name}", arguments, "a mapping")
-        return partial(kind, **arguments)
+    return Annotated[Any, BeforeValidator(parse)]
 
-    def _policy_options(self, value: Any) -> Any:
-        if isinstance(value, str):  # a mapping of YAML, but for the brackets
-            text = value.replace("dict(", "{").replace(")", "}").replace("=", ": ")
-            with suppress(ValueError):
-                value = read_yaml(text)
-        if isinstance(value, dict) and "activation_fn" in value:
-            name = str(value["activation_fn"]).removeprefix("nn.").lower()
-            known = {str(each): kind for each, kind in ACTIVATIONS.items()}
-            if name not in known:
-                raise unknown(f"{self.name}: activation_fn", value["activation_fn"], known)
-            value["activation_fn"] = known[name]
-        return value
+
+def _parse_wrappers(value: Any) -> Any:
+    """Read the name of a wrapper, a mapping of the name to its arguments, or a list of these."""
+    parts = value if isinstance(value, list) else [value] if value else []
+    pairs = [[*one.items()] if isinstance(one, dict) else [(one, {})] for one in parts]
+    return [pair for part in pairs for pair in part]
+
+
+def _parse_policy_options(value: Any) -> Any:
+    """Read a mapping, or the text that rl_zoo3 evaluates, with the name of an activation."""
+    if isinstance(value, str):
+        try:
+            value = _parse_keywords(ast.parse(value, mode="eval").body)
+        except Exception:  # whatever a text that is no Python raises
+            raise ValueError("must be a mapping, or a text such as dict(net_arch=[64])") from None
+    if isinstance(value, dict) and "activation_fn" in value:
+        name = str(value["activation_fn"]).removeprefix("nn.").lower()
+        if name not in ACTIVATIONS:
+            raise ValueError(f"must have {' or '.join(ACTIVATIONS)} as activation_fn")
+        return {**value, "activation_fn": ACTIVATIONS[name]}
+    return value
+
+
+def _parse_keywords(node: ast.expr) -> Any:
+    """Return the value of `dict(key=value, ...)`, a name or a literal, without running it."""
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
+        return {str(one.arg): _parse_keywords(one.value) for one in node.keywords}
+    return ast.unparse(node) if isinstance(node, ast.Attribute) else ast.literal_eval(node)
+
+
+_Numeric = BeforeValidator(_parse_number)
+_Count = Annotated[int, Field(ge=1), _Numeric]
+_WRAPPER: Any = tuple[_class_from(VecEnvWrapper), dict[str, Any]]  # type: ignore[misc]
+_OUR_KEYS: dict[str, Any] = {  # which are no arguments of the algorithm: type, default
+    "n_timesteps": (_Count, ...),
+    "n_envs": (_Count, 1),
+    "env_kwargs": (dict[str, Any], {}),
+    "vec_env_wrapper": (Annotated[list[_WRAPPER], BeforeValidator(_parse_wrappers)], []),
+}
+_KINDS = {  # of arguments whose annotation says less
+    "n_steps": _Count,
+    "train_freq": _Count | tuple[_Count, Literal["step", "episode"]],
+    "policy_kwargs": Annotated[dict[str, Any] | None, BeforeValidator(_parse_policy_options)],
+    "replay_buffer_class": _class_from(HerReplayBuffer),
+}
+
+
+def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
+    """Return the type and the default of each key that an entry for the algorithm may have."""
+    keys: dict[str, Any] = {}
+    for name, one in _parameters(algorithm).items():
+        kind = _KINDS.get(name, Annotated[one.annotation, _Numeric])
+        keys[name] = kind, one.default
+    policy = _class_from(algorithm.policy_aliases["MlpPolicy"], "MlpPolicy")
+    return {**keys, "policy": (policy, ...), **_OUR_KEYS}
 
 
 def _parameters(kind: type) -> dict[str, inspect.Parameter]:
@@ -205,7 +241,8 @@ def _parameters(kind: type) -> dict[str, inspect.Parameter]:
     unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     named = {name: one for name, one in own.items() if one.kind not in unnamed}
     inherited = _parameters(kind.__base__ or object) if len(named) < len(own) else {}
-    return {name: one for name, one in (inherited | named).items() if name not in _OURS}
+    every = inherited | named
+    return {name: one for name, one in every.items() if name not in _NOT_IN_FILES}
 
 
 def names() -> list[str]:
@@ -225,7 +262,7 @@ def read_recipe(
         source: the name of a file that ships, see `names`, or the path of your own YAML file.
         env_id: the environment; None for the first in the file, which must be of this package.
         steps: environment steps of the training, instead of `n_timesteps`.
-        env_kwargs: arguments of the environment, beside those in the file.
+        env_kwargs: more arguments of the environment; they replace those in the file.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -237,11 +274,11 @@ def read_recipe(
             raise unknown("name", source, names(), "the path of a YAML file")
         path = _SHIPPED / f"{source}.yml"
     try:
-        entries = read_yaml_file(path)
+        entries = _ENTRIES.validate_python(read_yaml_file(path))
+    except ValidationError as error:
+        raise UserError(f"{source} must map environments to entries: {explain(error)}") from error
     except ValueError as error:
         raise UserError(f"{source} must be YAML: {error}") from error
-    if not isinstance(entries, dict) or not entries:
-        raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")
     if env_id is None:
         env_id = next(iter(entries))
         spec = gym.registry.get(env_id)  # of others some import what their arguments name
@@ -250,12 +287,10 @@ def read_recipe(
         require(is_own and ":" not in env_id, f"{source}: env", env_id, accepted)
     if env_id not in entries:
         raise unknown(f"env for {source}", env_id, entries)
-    entry = entries[env_id]
-    if not isinstance(entry, dict):
-        raise UserError(f"{source} must have hyperparameters for {env_id}, got {entry!r}")
-    recipe = Recipe(path.stem, env_id, entry)
+    recipe = Recipe(path.stem, env_id, entries[env_id])
     if env_kwargs is not None:
         require(isinstance(env_kwargs, Mapping), "env_kwargs", env_kwargs, "a mapping")
     if env_kwargs:
-        recipe = recipe.with_changes(env_kwargs={**(entry.get("env_kwargs") or {}), **env_kwargs})
+        given = recipe.hyperparameters.get("env_kwargs") or {}
+        recipe = recipe.with_changes(env_kwargs={**given, **env_kwargs})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -379,14 +379,13 @@ class TaughtPPO(PPO):
 
 
 class TaughtRecipe(Recipe):
-    """A recipe that may name the classes of this study."""
+    """A recipe for `TaughtPPO`."""
 
     algorithm_class = TaughtPPO
-    classes = {
-        f"{HERE}.TaughtPolicy": TaughtPolicy,
-        f"{HERE}.TruthfulScenarios": TruthfulScenarios,
-        f"{HERE}.Memory": Memory,
-    }
+
+
+for kind in (TaughtPolicy, TruthfulScenarios, Memory):
+    Recipe.classes[f"{HERE}.{kind.__name__}"] = kind
 
 
 @dataclass
