@@ -4,16 +4,15 @@ Importing it registers the environments with Gymnasium.  Everything else is load
 """
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from mmc_gym import envs as envs  # registers the environments
-from mmc_gym.agents import make_agent
 from mmc_gym.envs import make, make_vec
 
 if TYPE_CHECKING:
     from mmc_gym import agents, benchmark, body, experiments, measures, network, report, training
     from mmc_gym._errors import MismatchWarning, UserError
+    from mmc_gym.agents import make_agent
     from mmc_gym.benchmark.compare import compare
     from mmc_gym.experiments.trials import run_experiment
     from mmc_gym.listing import (
@@ -27,7 +26,8 @@ if TYPE_CHECKING:
     from mmc_gym.measures import run_episodes
     from mmc_gym.training.training import train
 
-__version__ = version("mmc-gym")
+    __version__: str
+
 __all__ = [
     "MismatchWarning",
     "UserError",
@@ -66,6 +66,7 @@ _HOMES = {
     "list_perturbations": "listing",
     "list_scenarios": "listing",
     "list_tasks": "listing",
+    "make_agent": "agents",
     "run_episodes": "measures",
     "run_experiment": "experiments.trials",
     "train": "training.training",
@@ -75,8 +76,12 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"{__name__}.{_HOMES.get(name, name)}")
-    found = globals()[name] = getattr(module, name) if name in _HOMES else module
+    if name == "__version__":
+        found: Any = import_module("importlib.metadata").version("mmc-gym")
+    else:
+        home = import_module(f"{__name__}.{_HOMES.get(name, name)}")
+        found = getattr(home, name) if name in _HOMES else home
+    globals()[name] = found
     return found
 
 

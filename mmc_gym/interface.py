@@ -29,7 +29,6 @@ from mmc_gym._errors import (
     require_positive,
     require_rows,
 )
-from mmc_gym._files import import_object
 from mmc_gym.geometry import Floats, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
@@ -548,7 +547,11 @@ class InterfacedEnv(gym.Env[Any, Any]):
         The environment is single; agents also accept a vector of equal ones.  The interface is a
         `ReachInterface`, "module:name" of one, or a function of the environment that returns one.
         """
-        found = import_object(interface, "interface") if isinstance(interface, str) else interface
+        found = interface
+        if isinstance(interface, str):
+            from mmc_gym._files import import_object  # `import mmc_gym` loads no yaml
+
+            found = import_object(interface, "interface")
         if callable(found) and not isinstance(found, ReachInterface):
             found = found(env)
         accepted = "an object of a subclass of ReachInterface, a function of env or 'module:name'"

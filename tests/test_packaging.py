@@ -46,6 +46,16 @@ def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
     assert HEAVY.isdisjoint(loaded.splitlines()[0].split())
 
 
+def test_import_loads_few_modules_and_lines_of_ours():
+    shown = run_python(
+        "import sys, mmc_gym\n"
+        "print(*(one.__file__ for name, one in sys.modules.items() if name.startswith('mmc_gym')))"
+    )
+    loaded = [Path(path).read_text("utf-8") for path in shown.split()]
+    assert len(loaded) <= 25
+    assert sum(text.count("\n") for text in loaded) <= 5000
+
+
 def test_what_needs_numba_says_how_to_get_it():
     shown = run_python(
         "import sys; sys.modules['numba'] = None\n"

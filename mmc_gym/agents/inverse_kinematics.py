@@ -96,6 +96,16 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
         return state, state
 
 
+def damped_least_squares_agent(interface: ReachInterface) -> InverseKinematicsAgent:
+    """Make the agent of `damped_least_squares`, three iterations per control step."""
+    return InverseKinematicsAgent(interface, damped_least_squares, iterations_per_step=3)
+
+
+def closed_form_agent(interface: ReachInterface) -> InverseKinematicsAgent:
+    """Make the agent of `closed_form`."""
+    return InverseKinematicsAgent(interface, closed_form)
+
+
 def iterate(
     solver: Solver,
     joint_angles: Floats,

@@ -18,7 +18,14 @@ from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.planners import MovementTiming, begin, follow, step
 from mmc_gym.geometry import Floats, nearest_reachable, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
-from mmc_gym.network import Clamps, EuclideanNormalizer, MMCNetwork, MMCState, Normalizer
+from mmc_gym.network import (
+    Clamps,
+    EuclideanNormalizer,
+    LearnedNormalizer,
+    MMCNetwork,
+    MMCState,
+    Normalizer,
+)
 from mmc_gym.network.embodied import Embodiment, embodied_run
 from mmc_gym.network.time_base import share, timed_step
 
@@ -119,6 +126,16 @@ def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
     )
 
 
+def classical_mmc(interface: ReachInterface) -> MMCAgent:
+    """Return the classical network with the paper's constants, one iteration per control step."""
+    return MMCAgent(interface, network_of_arm(interface))
+
+
+def neural_mmc(interface: ReachInterface) -> MMCAgent:
+    """Return the network of `dynamic_mmc` with the learned normalizer that ships."""
+    return dynamic_mmc(interface, LearnedNormalizer.shipped())
+
+
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None) -> MMCAgent:
     """Return the dynamic network at its best setting; by default the normalizer is Euclidean.
 
@@ -194,3 +211,8 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         is_beyond = np.asarray((np.abs(back) > 1e-9).any(axis=-1))
         nearer = self.network.state_from_joint_angles(joint_angles + back)
         return where(is_beyond, nearer, network)
+
+
+def bell_mmc(interface: ReachInterface) -> TimedMMCAgent:
+    """Return the classical network on a time base, two iterations per control step."""
+    return TimedMMCAgent(interface, network_of_arm(interface), iterations_per_step=2)

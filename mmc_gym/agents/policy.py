@@ -256,6 +256,11 @@ class PolicyAgent(Agent[Any]):
         return action, state
 
 
+def shipped_agent(interface: ReachInterface, name: str) -> PolicyAgent:
+    """Make the agent of the training of seed 0 of a policy that ships."""
+    return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
+
+
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {"mmc": dynamic_mmc}
 
 

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import pkgutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import gymnasium as gym
 
-from mmc_gym.agents.base import Agent, RandomAgent, require_plain
-from mmc_gym.agents.body_model.agent import ik_body, mmc_body
-from mmc_gym.agents.inverse_kinematics import (
-    InverseKinematicsAgent,
-    Solver,
-    closed_form,
-    damped_least_squares,
-)
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
-from mmc_gym.agents.optimal_control import OptimalControlAgent
-from mmc_gym.agents.planners import MinimumJerkAgent
+from mmc_gym.agents.base import Agent, require_plain
 from mmc_gym.agents.policy_network import VIEWS, View
-from mmc_gym.interface import Control, InterfacedEnv, ReachInterface
-from mmc_gym.network import LearnedNormalizer
+from mmc_gym.interface import Control, ReachInterface
 
 Kind = Literal[
     "yours",
@@ -74,42 +64,35 @@ class AgentEntry:
     """An agent of this package, and what is known of it."""
 
     description: str  #: what it is, in a line
-    #: makes it from what it is given; for a trained agent, its training of seed 0
-    build: Callable[[ReachInterface], Agent[Any]]
+    #: "module:function" that makes it from a `ReachInterface`, imported when it is needed; for a
+    #: trained agent, its training of seed 0
+    maker: str
     knowledge: Knowledge  #: its kind, what it is given, and what it senses
     #: the control mode in which it is compared.  Agents that give joint targets act in every mode
     #: that has a servo; only joint positions do not depend on late senses.
     control: Control = "joint_position"
     training_seeds: int = 0  #: how many trainings of it ship with the package; 0 if untrained
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the maker, by name
+    draws_actions: bool = False  #: whether the maker is also given the `space` of actions
+
+    def build(self, interface: ReachInterface, **settings: Any) -> Agent[Any]:
+        """Make it from an interface; `settings` are further arguments of its maker."""
+        maker = pkgutil.resolve_name(f"mmc_gym.agents.{self.maker}")
+        agent: Agent[Any] = maker(interface, **self.settings, **settings)
+        return agent
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment, whose wrappers may change no observation or action."""
         require_plain(env)
-        interface = ReachInterface.of(env)
-        if self.build is RandomAgent and isinstance(env, InterfacedEnv):
-            return RandomAgent(interface, env.action_space)
-        return self.build(interface)
+        space = {"space": env.action_space} if self.draws_actions else {}
+        return self.build(ReachInterface.of(env), **space)
 
 
-def _mmc(
-    description: str, build: Callable[[ReachInterface], Agent[Any]], **knowledge: str
-) -> AgentEntry:
-    return AgentEntry(description, build, Knowledge("network", **knowledge))
-
-
-_BODY = {
+_IDENTIFIES_BODY = {
     "lengths": "given, then identified",
     "senses": "posture, speeds, seen hand and target in every step; estimates noise and delay, "
     "detects locked joints and contacts",
 }
-
-
-def _ik(description: str, solver: Solver, iterations_per_step: int = 3) -> AgentEntry:
-    return AgentEntry(
-        description,
-        lambda interface: InverseKinematicsAgent(interface, solver, iterations_per_step),
-        Knowledge("inverse kinematics"),
-    )
 
 
 def _trained(
@@ -123,40 +106,48 @@ def _trained(
     memory: int = 0,
     command: str = "mmc-gym train {}",
 ) -> dict[str, AgentEntry]:
-    def build(interface: ReachInterface) -> Agent[Any]:
-        # Not at the top: pydantic, which checks the card, takes a while to load.
-        from mmc_gym.agents.policy import PolicyAgent, load_policy, shipped_file
-
-        return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
-
-    description += f", trained by `{command.format(name)}`"
-    knowledge = learned_knowledge(view, base_agent, memory=memory)
-    return {name: AgentEntry(description, build, knowledge, control, training_seeds)}
+    """Return the entry of a policy that ships, under its name."""
+    return {
+        name: AgentEntry(
+            f"{description}, trained by `{command.format(name)}`",
+            "policy:shipped_agent",
+            learned_knowledge(view, base_agent, memory=memory),
+            control,
+            training_seeds,
+            settings={"name": name},
+        )
+    }
 
 
 AGENTS: dict[str, AgentEntry] = {
-    "mmc-body": _mmc(
+    "mmc-body": AgentEntry(
         "MMC network as internal model of a body that it identifies: senses, body, locks, "
         "imagination, drive",
-        mmc_body,
-        **_BODY,
+        "body_model.agent:mmc_body",
+        Knowledge("network", **_IDENTIFIES_BODY),
     ),
     "ik-body": AgentEntry(
         "as mmc-body, with damped least squares as internal model",
-        ik_body,
-        Knowledge("inverse kinematics", **_BODY),
+        "body_model.agent:ik_body",
+        Knowledge("inverse kinematics", **_IDENTIFIES_BODY),
     ),
-    "mmc": _mmc("dynamic MMC network, best setting", dynamic_mmc),
-    "mmc-classical": _mmc(
+    "mmc": AgentEntry("dynamic MMC network, best setting", "mmc:dynamic_mmc", Knowledge("network")),
+    "mmc-classical": AgentEntry(
         "classical MMC network with the paper's constants, one iteration per control step",
-        lambda interface: MMCAgent(interface, network_of_arm(interface)),
+        "mmc:classical_mmc",
+        Knowledge("network"),
     ),
-    "mmc-neural": _mmc(
-        "as mmc, with the learned normalizer",
-        lambda interface: dynamic_mmc(interface, LearnedNormalizer.shipped()),
+    "mmc-neural": AgentEntry(
+        "as mmc, with the learned normalizer", "mmc:neural_mmc", Knowledge("network")
     ),
-    "mmc-tuned": _mmc("as mmc, with constants that Optuna found", tuned_mmc),
-    "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
+    "mmc-tuned": AgentEntry(
+        "as mmc, with constants that Optuna found", "mmc:tuned_mmc", Knowledge("network")
+    ),
+    "ik-dls": AgentEntry(
+        "inverse kinematics by damped least squares",
+        "inverse_kinematics:damped_least_squares_agent",
+        Knowledge("inverse kinematics"),
+    ),
     **_trained("ppo", "PPO of stable-baselines3", 10),
     **_trained("sac", "SAC of stable-baselines3", 5),
     **_trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
@@ -187,28 +178,28 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
-        RandomAgent,
+        "base:RandomAgent",
         Knowledge("baseline", "not given", "not given", "nothing"),
+        draws_actions=True,
     ),
-    "ik-closed-form": _ik(
+    "ik-closed-form": AgentEntry(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
-        closed_form,
-        iterations_per_step=1,
+        "inverse_kinematics:closed_form_agent",
+        Knowledge("inverse kinematics"),
     ),
-    "mmc-bell": _mmc(
+    "mmc-bell": AgentEntry(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
-        lambda interface: TimedMMCAgent(
-            interface, network_of_arm(interface), iterations_per_step=2
-        ),
+        "mmc:bell_mmc",
+        Knowledge("network"),
     ),
     "minimum-jerk": AgentEntry(
         "minimum-jerk path of the hand, followed by damped least squares",
-        MinimumJerkAgent,
+        "planners:MinimumJerkAgent",
         Knowledge("planner"),
     ),
     "optimal-control": AgentEntry(
         "optimal feedback control (LQG with noise that grows with the command) of the given arm",
-        OptimalControlAgent,
+        "optimal_control:OptimalControlAgent",
         Knowledge(
             "optimal control",
             senses="posture, speeds, seen hand and target in every step, filtered",

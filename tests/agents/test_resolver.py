@@ -13,7 +13,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolver
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN
-from mmc_gym.interface import CannotActError
+from mmc_gym.interface import CannotActError, ReachInterface
 
 OWN = """
 class Still:
@@ -63,6 +63,13 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
     assert entry.knowledge.kind != "yours"
     assert entry.control == found.control == (found.card or entry).control
     assert len(found.fingerprint) == 64
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_an_agent_is_built_by_the_function_that_its_entry_names(name):
+    entry = AGENTS[name]
+    env = gym.make("MMCReach-v0", control=entry.control)
+    assert callable(entry.build(ReachInterface.of(env)).predict)
 
 
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
