@@ -6,6 +6,7 @@ differs.  There is no score: a quantity is near the one of people or not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,16 +32,18 @@ from mmc_gym.experiments.adaptation import (
     learning_table,
 )
 from mmc_gym.experiments.trials import ExperimentResult, run_experiment
-from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.measures import MEASURES
 from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from studies.body_model.playing import body_model, play
 from studies.drawing import STYLE, save_figure
+from studies.laws import LAWS
 from studies.tables import table_of
 
 MOVEMENTS = {  # measures, and the scenarios that they are taken in
     "centre-out": ("peak_to_mean", "time_to_peak"),
-    "pursuit": ("speed_curvature_exponent",),
-    "distances": ("fitts_slope",),
+    "pursuit": ("speed_curvature_exponent", "speed_curvature_r_squared"),
+    "distances": ("fitts_slope", "fitts_r_squared"),
+    "paper": ("posture_variability",),
 }
 EXPERIMENTS = {  # measures, and the experiments that they are taken in
     "rotation-30": (*("rate", "final_adaptation", "after_effect", "A_f", "A_s", "B_f", "B_s"),),
@@ -78,13 +81,13 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
             made = BODY.get(agent, agent)
             played = play(made, SCENARIOS[scenario], episodes, seed=0)
             for name in names:
-                known: Any = {**MEASURES, **SET_MEASURES}[name]
                 if name in MEASURES:
+                    known = MEASURES[name]
                     values = [known.of(one) for one in played[0]]
                     found = vars(bootstrap_interval(values, known.statistic))
                 else:
-                    found = {"estimate": known.of(played[0]), "low": float("nan")}
-                    found["high"] = found["low"]
+                    known = LAWS[name]
+                    found = {"estimate": known.of(played[0]), "low": math.nan, "high": math.nan}
                 rows.append({"agent": agent, "of": scenario, **_facts(known), **found})
     return beside_people(pd.DataFrame(rows)).to_dict("records")
 

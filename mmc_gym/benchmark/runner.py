@@ -31,7 +31,6 @@ from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
-    SETS,
     CellKey,
     Manifest,
     NotPlayed,
@@ -40,7 +39,6 @@ from mmc_gym.benchmark.store import (
     episodes_file,
     kept_cells,
     paths_file,
-    sets_file,
     update_manifest,
     write_cell,
 )
@@ -56,10 +54,8 @@ from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import CannotActError, ReachInterface, read_attribute
 from mmc_gym.measures import (
     MEASURES,
-    SET_MEASURES,
     Episode,
     Measure,
-    SetMeasure,
     episode_seeds,
     run_episodes,
 )
@@ -89,7 +85,7 @@ class BenchmarkCell:
     seed: int  #: that the seeds of the episodes are derived from, the same for all cells
     control: str | None = None  #: the control mode that the user asks for, see `make_player`
     keeps_paths: bool = True  #: whether the paths of its first episodes are written, too
-    measures: tuple[Measure | SetMeasure, ...] = ()  #: the user's own, which a worker does not know
+    measures: tuple[Measure, ...] = ()  #: the user's own, which a worker does not know
 
     @property
     def key(self) -> CellKey:
@@ -153,13 +149,10 @@ def _outcome(cell: BenchmarkCell) -> Outcome:
         failed = [number for number, one in enumerate(episodes) if not success(one)]
         shown = sorted({*range(min(PATHS_KEPT, len(episodes))), *failed[:FAILURES_KEPT]})
         files[PATHS] = paths_file(cell.key, {number: episodes[number] for number in shown})
-    if (sets := sets_file(cell.key, episodes)) is not None:
-        files[SETS] = sets
     facts = {
         "cpu_seconds": round(time.process_time() - begin, 3),
         "control": control,
         "has_paths": PATHS in files,
-        "has_sets": SETS in files,
         "software": software(),
     }
     files[EPISODES] = episodes_file(cell.key, episodes, cell.settings, facts)
@@ -337,13 +330,11 @@ def _joined(
         policies.append(known)
     # Measures that only earlier runs knew keep their columns, and so their facts.
     measures = {name: one.facts for name, one in MEASURES.items()}
-    set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
     return manifest.model_copy(
         update={
             "environments": environments,
             "agents": agents,
             "measures": manifest.measures | measures,
-            "set_measures": manifest.set_measures | set_measures,
         }
     )
 

@@ -2,7 +2,6 @@
 
     episodes/AGENT--SEED--ENVIRONMENT.parquet    a row per episode: who, where, measures
     paths/AGENT--SEED--ENVIRONMENT.parquet       a row per step of some episodes, for pictures
-    sets/AGENT--SEED--ENVIRONMENT.parquet        a row per measure of all episodes together
     manifest.json                                what all of it was made with
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
@@ -32,13 +31,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
-from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, measure_all
-from mmc_gym.measures.catalogue import value_of
+from mmc_gym.measures import MEASURES, Episode, measure_all
 
 SCHEMA_VERSION: Literal[3] = 3
 MANIFEST = "manifest.json"
-EPISODES, PATHS, SETS, TRIALS = "episodes", "paths", "sets", "trials"
-SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
+EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
 _DIGEST = "sha256"  # in the manifest, of all else in it
 _KEY = ("agent", "training_seed", "environment")  # columns that name a cell
@@ -144,25 +141,6 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
     return to_parquet(columns)
 
 
-def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
-    """Return the content of a cell's file of set measures; None where the environment has none.
-
-    A row for each of `SET_MEASURES` that is taken in this environment: agent, training_seed,
-    environment, measure, unit, episodes (their number), value (NaN if they have none).
-    """
-    measures = [one for one in SET_MEASURES.values() if one.environment == key.environment]
-    if not measures:
-        return None
-    columns = {
-        **_key_columns(key, len(measures)),
-        "measure": [measure.name for measure in measures],
-        "unit": [measure.unit for measure in measures],
-        "episodes": np.full(len(measures), len(episodes), dtype=np.int32),
-        "value": np.array([value_of(measure, episodes) for measure in measures]),
-    }
-    return to_parquet(columns)
-
-
 def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
     return {
         "agent": pa.array([key.agent] * rows, pa.string()),
@@ -240,9 +218,9 @@ def _kept_in(schema: pa.Schema) -> Kept:
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
     """Write `files` of a cell by kind, and remove its former files of other kinds; none removes it.
 
-    The kinds are `EPISODES`, `PATHS` and `SETS`.
+    The kinds are `EPISODES` and `PATHS`.
     """
-    for kind in (PATHS, SETS, EPISODES):  # episodes last: they say that the cell is complete
+    for kind in (PATHS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
         if kind in files:
             write_atomically(path, files[kind])
@@ -254,9 +232,8 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mappi
     """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
     try:
         table, kept = _read(folder / EPISODES / key.file_name)
-        for kind in (PATHS, SETS):
-            if kept.facts.get(f"has_{kind}"):
-                _read(folder / kind / key.file_name)
+        if kept.facts.get("has_paths"):
+            _read(folder / PATHS / key.file_name)
     except (FileNotFoundError, UserError):
         return None
     is_same = kept.settings == json.loads(json.dumps(settings))
@@ -283,13 +260,12 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
     """
     folder, shared = Path(folder), dict[str, tuple[Path, Mapping[str, Any]]]()
     chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
-    others = [kind for kind in (PATHS, SETS) if _files(folder, kind)]  # may be left out as a whole
+    has_paths = bool(_files(folder, PATHS))  # they may be left out as a whole
     tables = []
     for file in _files(folder, EPISODES):
         table, kept = _read(file, chosen)
-        for kind in others:
-            if kept.facts.get(f"has_{kind}"):
-                _require_file(folder / kind / file.name)
+        if has_paths and kept.facts.get("has_paths"):
+            _require_file(folder / PATHS / file.name)
         own = {name: kept.settings.get(name) for name in _SHARED}
         other, theirs = shared.setdefault(file.stem.rpartition("--")[2], (file, own))
         if own != theirs:
@@ -327,12 +303,6 @@ def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd
         for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
             frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
-
-
-def read_sets(folder: Path | str) -> pd.DataFrame:
-    """Return all set measures of a store, empty without any; `sets_file` names the columns."""
-    frame = _joined(_read(file)[0] for file in _files(Path(folder), SETS))
-    return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
 
 def _files(folder: Path, kind: str) -> list[Path]:
@@ -383,8 +353,7 @@ class Manifest(_Frozen):
     schema_version: Literal[3] = SCHEMA_VERSION
     episodes: int  #: in each environment whose trials are not numbered
     seed: int  #: of the starts and targets
-    measures: dict[str, dict[str, Any]] = {}  #: of episodes by name, see `Quantity.facts`
-    set_measures: dict[str, dict[str, Any]] = {}  #: facts of those of sets of episodes
+    measures: dict[str, dict[str, Any]] = {}  #: by name, see `Quantity.facts`
     #: settings by name, and of the environment as it was played control_step (seconds),
     #: segment_lengths (of the arm that agents are given) and tolerance (the distance from the
     #: target that counts as success)

@@ -24,7 +24,7 @@ import hashlib
 import inspect
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.resources import files
@@ -43,7 +43,6 @@ Statistic: TypeAlias = Literal["mean", "median"]
 Direction: TypeAlias = Literal["high", "low", "neither"]
 
 OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
-OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
 PEOPLE = "people"  # their name in place of an agent's
 
@@ -114,14 +113,6 @@ class Measure(Quantity):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SetMeasure(Quantity):
-    """A measure `of` all episodes of an agent in one environment together."""
-
-    environment: str
-    of: Callable[[Sequence[Episode]], float] = field(default=_not_here, compare=False)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Published:
     """A published figure of people; see `people.yml` for what an attribute means."""
 
@@ -166,9 +157,6 @@ def span(low: float, high: float) -> str:
 MEASURES: dict[str, Measure] = {}
 """All measures of an episode by name, in the order of the columns."""
 
-SET_MEASURES: dict[str, SetMeasure] = {}
-"""All measures of sets of episodes by name."""
-
 
 def measure(
     function: None = None,
@@ -201,7 +189,9 @@ def measure(
         UserError: without a label or without brackets; if another measure or another column of the
             data has this name, or `best` or `statistic` is not accepted.
     """
-    _require_label("measure", function, label)
+    accepted = 'used as @measure(label="..."), with its brackets'
+    require(function is None, "@measure", function, accepted)
+    require(isinstance(label, str) and bool(label), "@measure", label, accepted)
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
     facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
     facts |= {"sampled": sampled}
@@ -213,65 +203,30 @@ def measure(
     return decorate
 
 
-def _require_label(decorator: str, function: object, label: object, also: str = "") -> None:
-    accepted = f'used as @{decorator}({also}label="..."), with its brackets'
-    require(function is None, f"@{decorator}", function, accepted)
-    require(isinstance(label, str) and bool(label), f"@{decorator}", label, accepted)
-
-
-def set_measure(
-    function: None = None,
-    /,
-    *,
-    environment: str = "",
-    label: str = "",
-    unit: str = "",
-    best: Direction = "neither",
-    decimals: int = 2,
-) -> Callable[[OfEpisodes], OfEpisodes]:
-    """Register a function `Sequence[Episode] -> float` as a measure of sets of episodes.
-
-    The function gets all episodes of an agent in one `environment` of the benchmark.  Other
-    arguments and errors are those of `measure`.
-    """
-    _require_label("set_measure", function, label and environment, 'environment="random", ')
-    facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
-
-    def decorate(function: OfEpisodes) -> OfEpisodes:
-        register(SetMeasure(name=function.__name__, environment=environment, of=function, **facts))
-        return function
-
-    return decorate
-
-
-def register(made: Measure | SetMeasure) -> None:
+def register(made: Measure) -> None:
     """Register a measure; raise a `UserError` if its name is taken or a value is not accepted."""
     for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
-        value = getattr(made, name, accepted[0])
+        value = getattr(made, name)
         if value not in accepted:
             raise UserError(f"{name} of {made.name!r} must be one of {accepted}, got {value!r}")
-    known = MEASURES.get(made.name) or SET_MEASURES.get(made.name)
+    known = MEASURES.get(made.name)
     # The same function may be registered again: a notebook's cell runs twice, a worker imports it.
     if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
         owner = _origin(known) if known else "a column of the data"
         raise UserError(f"a measure must have a new name, got {made.name!r}: {owner} has it")
-    if isinstance(made, Measure):
-        MEASURES[made.name] = made
-    else:
-        SET_MEASURES[made.name] = made
+    MEASURES[made.name] = made
 
 
-def _origin(known: Measure | SetMeasure) -> str:
+def _origin(known: Measure) -> str:
     return f"{known.of.__module__}.{known.of.__qualname__}"
 
 
-def own_measures() -> tuple[Measure | SetMeasure, ...]:
+def own_measures() -> tuple[Measure, ...]:
     """Return the measures that users have registered; workers must `register` them as well."""
-    known: list[Measure | SetMeasure] = [*MEASURES.values(), *SET_MEASURES.values()]
-    return tuple(one for one in known if not one.of.__module__.startswith("mmc_gym."))
+    return tuple(one for one in MEASURES.values() if not one.of.__module__.startswith("mmc_gym."))
 
 
-def digest(known: Measure | SetMeasure) -> str:
+def digest(known: Measure) -> str:
     """Return the SHA-256 of a measure's facts and of its function's source, if that is known."""
     try:
         source = inspect.getsource(known.of)
@@ -285,13 +240,6 @@ def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
     return MEASURES | {key: Measure(**facts[key]) for key in facts if key not in MEASURES}
 
 
-def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
-    """Return all measures of sets by name, as `measures_of` does."""
-    return SET_MEASURES | {
-        key: SetMeasure(**facts[key]) for key in facts if key not in SET_MEASURES
-    }
-
-
 def shown_measures() -> tuple[Measure, ...]:
     """Return the measures that tables show."""
     return tuple(one for one in MEASURES.values() if one.shown)
@@ -299,12 +247,12 @@ def shown_measures() -> tuple[Measure, ...]:
 
 def measure_all(episode: Episode) -> dict[str, float]:
     """Return the values of all measures of an episode, by name."""
-    return {name: value_of(one, episode) for name, one in MEASURES.items()}
+    return {name: _value_of(one, episode) for name, one in MEASURES.items()}
 
 
-def value_of(known: Measure | SetMeasure, played: Any) -> float:
-    """Return the value of a measure of an episode, or of all; a `UserError` if it is no number."""
-    value: Any = known.of(played)
+def _value_of(known: Measure, episode: Episode) -> float:
+    """Return the value of a measure; raise a `UserError` if it is no number."""
+    value: Any = known.of(episode)
     if not isinstance(value, float):
         is_single = np.asarray(value, dtype=object).ndim == 0
         fine = is_single and np.asarray(value).dtype.kind in "fiub"

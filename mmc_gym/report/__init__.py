@@ -123,7 +123,6 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
         "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
         "given": tables.given_table(results),
         "failures": tables.failure_table(results),
-        "laws": tables.law_table(results),
         "tables": {key: tables.score_table(results, key) for key in results.environments},
         "not_played": reasons(results.manifest.not_played),
     }

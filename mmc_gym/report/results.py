@@ -27,12 +27,11 @@ from mmc_gym.benchmark.store import (
     read_episodes,
     read_manifest,
     read_paths,
-    read_sets,
     require_all_cells,
 )
 from mmc_gym.envs.scenarios import BASELINE
-from mmc_gym.measures import Measure, SetMeasure, leave_out_failures
-from mmc_gym.measures.catalogue import measures_of, set_measures_of
+from mmc_gym.measures import Measure, leave_out_failures
+from mmc_gym.measures.catalogue import measures_of
 from mmc_gym.measures.episode import Floats
 
 REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
@@ -114,8 +113,6 @@ class Results:
     identities: Mapping[str, AgentIdentity]  #: who each agent is
     focus: tuple[str, ...]  #: the agents that the report is about
     measures: tuple[Measure, ...]  #: those that tables show and that have a value in some episode
-    set_measures: Mapping[str, SetMeasure]  #: of all episodes of a policy together, by name
-    sets: pd.DataFrame  #: values of the `set_measures`, as `read_sets` returns them
     ranking: pd.DataFrame  #: of `rank_agents`; empty if no scenario was attempted by all
     resamples: int  #: number of bootstrap resamples in the tables of single scenarios
     ranking_resamples: int  #: number of those of the ranking
@@ -314,8 +311,6 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
             for name, one in measures.items()
             if one.shown and name in episodes and episodes[name].notna().any()
         ),
-        set_measures=set_measures_of(manifest.set_measures),
-        sets=read_sets(store),
         ranking=ranking,
         resamples=min(resamples, SCORE_RESAMPLES),
         ranking_resamples=resamples,

@@ -8,12 +8,11 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from mmc_gym._console import interval, number
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
-from mmc_gym.measures import MEASURES, Measure, SetMeasure
+from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.catalogue import PEOPLE, people, span
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
@@ -298,58 +297,6 @@ def _column(
 
 def _notes(*notes: str) -> tuple[str, ...]:
     return tuple(note for note in notes if note)
-
-
-LAWS = {
-    "posture_variability": "",
-    "fitts_slope": "fitts_r_squared",
-    "speed_curvature_exponent": "speed_curvature_r_squared",
-}
-"""Laws of human movement: measures of sets, each with that of how well it holds, if any."""
-
-
-def law_table(results: Results) -> Table | None:
-    """Return how well agents follow the laws, and other set measures; None without any values."""
-    known = results.sets[results.sets["value"].notna()] if len(results.sets) else results.sets
-    others = [name for name in results.set_measures if name not in LAWS.values()]
-    laws = [name for name in dict.fromkeys([*LAWS, *others]) if name in set(known["measure"])]
-    if not laws:
-        return None
-    measures = [results.set_measures[name] for name in laws]
-    present = set(known.loc[known["measure"].isin(laws), "agent"])
-    agents = [agent for agent in results.agents if agent in present]
-    environments = list(dict.fromkeys(one.environment for one in measures))
-    cited = [people().get(name) for name in laws]
-    figures = [TableCell(span(one.low, one.high), (one.authors,)) if one else NONE for one in cited]
-    rows = []
-    for agent in agents:
-        mine = known[known["agent"] == agent]
-        rows.append(_row(results, agent, [_kept(mine, one) for one in measures]))
-    return Table(
-        "Laws of human movement",
-        "scores",
-        (Heading("agent"), *(Heading(one.label, one.shown_unit) for one in measures)),
-        (TableRow("people", tuple(figures), look="people"), *rows),
-        "Posture variability: how much the postures differ at the same target, reached from "
-        "different starts; 0 is Donders' law. Fitts' slope: time for each bit of difficulty; no "
-        "agent is given the width of a target. Speed-curvature exponent: how much slower the hand "
-        "is where its path bends. Means over training seeds, and their range; R²: the part of the "
-        "variance that the law explains; –: too few movements arrived. Scenarios: "
-        f"{', '.join(environments)}.",
-    )
-
-
-def _kept(mine: pd.DataFrame, measure: SetMeasure) -> TableCell:
-    values = mine.loc[mine["measure"] == measure.name, "value"]
-    if values.empty:
-        return NONE
-    notes = []
-    if len(values) > 1:
-        notes.append(f"{measure.number(values.min())} to {measure.number(values.max())}")
-    explained = mine.loc[mine["measure"] == LAWS.get(measure.name), "value"]
-    if len(explained):
-        notes.append(f"R² {number(explained.mean(), 2)}")
-    return TableCell(measure.number(values.mean()), tuple(notes))
 
 
 def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:

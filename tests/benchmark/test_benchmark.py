@@ -19,13 +19,11 @@ from mmc_gym.benchmark import runner
 from mmc_gym.benchmark.ranking import print_ranking
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import (
-    SET_COLUMNS,
     CellKey,
     kept_cells,
     read_episodes,
     read_manifest,
     read_paths,
-    read_sets,
     write_cell,
 )
 from mmc_gym.benchmark.suite import SCENARIOS
@@ -115,19 +113,6 @@ def test_a_store_holds_the_episodes_of_rollouts(played):
     assert manifest.environments["random"]["segment_lengths"] == [1.0, 1.0, 1.0]
     stems = {CellKey(agent, None, name).stem for agent in ("mmc", REFERENCE) for name in ENVS}
     assert set(manifest.cpu_seconds) == stems
-
-
-def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
-    play(["mmc", REFERENCE], tmp_path, ["random", "distances"])
-    found = read_sets(tmp_path)
-    assert list(found.columns) == list(SET_COLUMNS)
-    values = found.pivot(index="agent", columns="measure", values="value")
-    assert set(values.columns) == {"fitts_slope", "fitts_r_squared"}
-    assert values["fitts_slope"].between(0, 1).to_dict() == {"mmc": True, REFERENCE: True}
-    assert (found["episodes"] == 32).all() and (found["environment"] == "distances").all()
-    path = tmp_path / "sets" / "mmc--distances.parquet"
-    path.unlink()
-    assert play(["mmc"], tmp_path, ["random", "distances"]).reused == 1 and path.exists()
 
 
 def test_the_lowest_training_seed_keeps_paths_of_the_first_instances_and_failures(

@@ -16,10 +16,11 @@ from mmc_gym.experiments.learning import (
     initial_direction,
     lateral_deviation,
 )
-from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.measures import MEASURES
 from mmc_gym.measures.catalogue import people
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.learners import TwoStates, simulate_learners
+from studies.laws import LAWS
 
 STEP = 0.02
 BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
@@ -199,7 +200,7 @@ def test_measures_of_a_clamp():
 
 
 def test_figures_of_people_have_a_source_and_belong_to_a_measure():
-    known = {*MEASURES, *SET_MEASURES, *(one.name for one in QUANTITIES)}
+    known = {*MEASURES, *LAWS, *(one.name for one in QUANTITIES)}
     for family in ("", "cursor-jump", "generalisation", "savings", "clamp"):
         assert people(family)
         for name, one in people(family).items():

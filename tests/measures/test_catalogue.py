@@ -11,12 +11,10 @@ from mmc_gym._errors import UserError
 from mmc_gym._files import import_modules
 from mmc_gym.measures import (
     MEASURES,
-    SET_MEASURES,
     catalogue,
     leave_out_failures,
     measure,
     measure_all,
-    set_measure,
 )
 from mmc_gym.network.time_base import minimum_jerk
 
@@ -47,7 +45,6 @@ def test_a_measure_of_your_own_is_one_decorated_function(make_episode):
     ("name", "decorator", "message"),
     [
         ("success", measure(label="x"), "got 'success': mmc_gym.measures.reaching.success has it"),
-        ("success", set_measure(label="x", environment="random"), "got 'success'"),
         ("target_x", measure(label="x"), "got 'target_x': a column of the data has it"),
         ("new", measure(label="x", best="highest"), r"best of 'new' must be one of \(.*got 'high"),
         ("new", measure(label="x", statistic="mode"), r"statistic of 'new' must .* got 'mode'"),
@@ -70,22 +67,19 @@ def test_a_measure_that_returns_no_number_is_named(value, make_episode):
     assert MEASURES["<lambda>"].of is of_my_own
 
 
-@pytest.mark.parametrize("decorator", [measure, set_measure])
 @pytest.mark.parametrize("wrong", [(len,), ()], ids=["no brackets", "no label"])
-def test_a_decorator_that_is_used_wrongly_says_how_it_is_used(decorator, wrong):
-    with pytest.raises(UserError, match=rf"used as @{decorator.__name__}\(.*label=.*, got"):
-        decorator(*wrong)
+def test_a_decorator_that_is_used_wrongly_says_how_it_is_used(wrong):
+    with pytest.raises(UserError, match=r"used as @measure\(.*label=.*, got"):
+        measure(*wrong)
 
 
 def test_a_store_knows_measures_whose_functions_are_not_here():
     register_half_way_time()
-    set_measure(label="episodes", environment="random")(lambda episodes: float(len(episodes)))
-    own, of_sets = catalogue.own_measures()
-    facts = json.loads(json.dumps({one.name: one.facts for one in catalogue.own_measures()}))
-    del MEASURES[own.name], SET_MEASURES[of_sets.name]
-    found = catalogue.measures_of({own.name: facts[own.name], "success": "fraction"})
+    (own,) = catalogue.own_measures()
+    facts = json.loads(json.dumps(own.facts))
+    del MEASURES[own.name]
+    found = catalogue.measures_of({own.name: facts, "success": "fraction"})
     assert (found[own.name], list(found)) == (own, [*MEASURES, own.name])
-    assert catalogue.set_measures_of({of_sets.name: facts[of_sets.name]})[of_sets.name] == of_sets
     with pytest.raises(RuntimeError, match="its function is not loaded"):
         found[own.name].of(None)
 

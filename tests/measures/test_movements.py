@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.geometry import segments_from_joint_angles
-from mmc_gym.measures import measure_all, reaching, sets, speed
+from mmc_gym.measures import measure_all, reaching, speed
 from mmc_gym.measures.episode import hand_speed, moving_part
 from mmc_gym.network.time_base import minimum_jerk
 
@@ -204,8 +204,6 @@ def test_smoothness_ignores_duration_and_punishes_a_second_submovement():
         (reaching.linearity_index, (np.zeros((0, 2)),)),
         (reaching.linearity_index, (np.zeros((1, 2)),)),
         (reaching.arrival_time, ([], 0.1, 0.02)),
-        (sets.posture_spread, ([[0.0, 1.0]],)),
-        (sets.posture_spread, (np.full((3, 2), math.nan),)),
     ],
 )
 def test_what_is_unknown_or_empty_has_no_value(measured, arguments):

@@ -14,7 +14,7 @@ from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.registry import IDEAL, REFERENCE
 from mmc_gym.benchmark import store
 from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
-from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
+from mmc_gym.measures import MEASURES, Episode
 from mmc_gym.network.time_base import minimum_jerk
 from mmc_gym.report import write_report
 from mmc_gym.report.results import read_results
@@ -110,7 +110,6 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         episodes=instances,
         seed=0,
         measures={name: one.facts for name, one in MEASURES.items()},
-        set_measures={name: one.facts for name, one in SET_MEASURES.items()},
         environments=environments,
         agents=policies,
         not_played=[skipped] if "mmc" in movers else [],

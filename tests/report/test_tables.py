@@ -3,13 +3,10 @@
 import math
 from dataclasses import replace
 
-import pandas as pd
-
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import rank_agents
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
-from mmc_gym.measures import SET_MEASURES
 from mmc_gym.report import tables, write_report
 from mmc_gym.report.replay import replay
 from mmc_gym.report.results import read_results
@@ -120,26 +117,6 @@ def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store
     assert not {"better", "worse"} & {one.look for one in cells}
     text = write_report(tmp_path, tmp_path / "report.html", 50, focus=["mmc"]).read_text()
     assert "in 50.0 % of its episodes, rank 1 of 3." in text and "nan" not in str(cells)
-
-
-def test_agents_keep_the_laws_beside_people(results):
-    assert tables.law_table(results) is None
-    rows = [
-        ("mmc", math.nan, "speed_curvature_exponent", 0.25),
-        ("mmc", math.nan, "speed_curvature_r_squared", 0.9),
-        ("mmc", math.nan, "fitts_slope", math.nan),
-        ("ppo", 0.0, "speed_curvature_exponent", 0.2),
-        ("ppo", 1.0, "speed_curvature_exponent", 0.4),
-    ]
-    columns = ["agent", "training_seed", "measure", "value"]
-    table = tables.law_table(replace(results, sets=pd.DataFrame(rows, columns=columns)))
-    assert table.headings[1:] == (("speed-curvature exponent", "", ""),)
-    assert {row.name: row.cells[0][:2] for row in table.rows} == {
-        "people": ("0.333", ("Viviani & Schneider 1991",)),
-        "mmc": ("0.250", ("R² 0.90",)),
-        "ppo": ("0.300", ("0.200 to 0.400",)),
-    }
-    assert {*tables.LAWS, *filter(None, tables.LAWS.values())} <= SET_MEASURES.keys()
 
 
 def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(make_store, tmp_path):

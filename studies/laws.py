@@ -1,17 +1,22 @@
-"""Measures of sets of movements: posture variability, Fitts' law, the two-thirds power law."""
+"""Laws of human movement, fitted to episodes: posture variability, Fitts' law, the power law.
+
+Each law needs many movements of one agent in the scenario that suits it, see `LAWS`.
+`studies.people` fits them to agents.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmc_gym.measures.catalogue import set_measure
+from mmc_gym.measures.catalogue import Quantity
 from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.reaching import arrival_time, success
 
@@ -67,7 +72,6 @@ def posture_spread(joint_angles: ArrayLike) -> float:
     return math.sqrt(float(np.clip(2 * (1 - lengths), 0.0, None).mean()))
 
 
-@set_measure(environment="paper", label="posture variability", unit="rad", best="low", decimals=3)
 def posture_variability(episodes: Sequence[Episode]) -> float:
     """Return the mean over targets of the `posture_spread` at the end of successful episodes.
 
@@ -115,18 +119,6 @@ def fitts_line(episodes: Sequence[Episode]) -> Line:
     return fitts_law(*np.transpose(conditions)) if conditions else NO_LINE
 
 
-@set_measure(environment="distances", label="Fitts' slope", unit="s/bit", best="low", decimals=3)
-def fitts_slope(episodes: Sequence[Episode]) -> float:
-    """Return b of the `fitts_line`."""
-    return fitts_line(episodes).slope
-
-
-@set_measure(environment="distances", label="Fitts' law explains", unit="fraction")
-def fitts_r_squared(episodes: Sequence[Episode]) -> float:
-    """Return R² of the `fitts_line`."""
-    return fitts_line(episodes).r_squared
-
-
 def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     """Fit the two-thirds power law, log speed = log K − β log curvature.
 
@@ -162,13 +154,51 @@ def power_line(episodes: Sequence[Episode]) -> Line:
     return Line(*np.median(found, axis=0).tolist()) if found else NO_LINE
 
 
-@set_measure(environment="pursuit", label="speed-curvature exponent", decimals=3)
-def speed_curvature_exponent(episodes: Sequence[Episode]) -> float:
-    """Return β of the `power_line`."""
-    return -power_line(episodes).slope
+@dataclass(frozen=True, kw_only=True)
+class Law(Quantity):
+    """A quantity `of` all episodes of an agent in one scenario; NaN where there is none."""
+
+    scenario: str
+    of: Callable[[Sequence[Episode]], float]
 
 
-@set_measure(environment="pursuit", label="power law explains", unit="fraction")
-def speed_curvature_r_squared(episodes: Sequence[Episode]) -> float:
-    """Return R² of the `power_line`."""
-    return power_line(episodes).r_squared
+LAWS = {
+    one.name: one
+    for one in (
+        Law(
+            name="posture_variability",
+            label="posture variability",
+            unit="rad",
+            decimals=3,
+            scenario="paper",
+            of=posture_variability,
+        ),
+        Law(
+            name="fitts_slope",
+            label="Fitts' slope",
+            unit="s/bit",
+            decimals=3,
+            scenario="distances",
+            of=lambda episodes: fitts_line(episodes).slope,
+        ),
+        Law(
+            name="fitts_r_squared",
+            label="R² of Fitts' law",
+            scenario="distances",
+            of=lambda episodes: fitts_line(episodes).r_squared,
+        ),
+        Law(
+            name="speed_curvature_exponent",
+            label="speed-curvature exponent",
+            decimals=3,
+            scenario="pursuit",
+            of=lambda episodes: -power_line(episodes).slope,
+        ),
+        Law(
+            name="speed_curvature_r_squared",
+            label="R² of the power law",
+            scenario="pursuit",
+            of=lambda episodes: power_line(episodes).r_squared,
+        ),
+    )
+}
