@@ -36,7 +36,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -153,14 +152,12 @@ def _episode_counts(
 ) -> NDArray[np.unsignedinteger]:
     """Return how often each episode of an agent is drawn, (policies · instances, R + 1).
 
-    The `shape` is (policies, instances) of one environment.  A last row of zeros stands for none.
+    The `shape` is (policies, instances) of one environment.
     """
     policies = _counts((seed, _POLICIES, agent), shape[0], resamples)
     instances = _counts((seed, _INSTANCES, shape[1]), shape[1], resamples)
-    counts = policies.T[:, None] * instances.T
-    counts = np.concatenate([*counts, np.zeros((1, resamples + 1))])
-    # Small numbers, row by row: `_median_of_counts` takes rows.
-    return counts.astype(np.min_scalar_type(math.prod(shape) + 2), order="C")
+    counts = (policies.T[:, None] * instances.T).reshape(math.prod(shape), -1)
+    return counts.astype(np.min_scalar_type(math.prod(shape) + 2), order="C")  # small: quick to add
 
 
 class Estimate(NamedTuple):
@@ -244,14 +241,20 @@ class Bootstrap:
 
     def _where_it_varies(self, found: Floats, *agents: str) -> Floats:
         """Return a distribution, its resamples NaN if they cannot vary for one of the agents."""
-        for agent in agents:
-            known = [~np.isnan(table) for table in self.scores.values[agent]]
-            policies = np.any([one.any(axis=1) for one in known], axis=0).sum()
-            drawn = [np.flatnonzero(one.any(axis=0)) for one in known]
-            places = {(one.shape[1], *some) for one, some in zip(known, drawn) if some.size}
-            if policies == len(places) == max(map(len, drawn)) == 1:
-                found[1:] = np.nan
+        if not all(map(self._varies, agents)):
+            found[1:] = np.nan
         return found
+
+    def _varies(self, agent: str) -> bool:
+        """Return False if all values of an agent are of one policy at one instance."""
+        known = [~np.isnan(table) for table in self.scores.values[agent]]
+        policies = np.any([table.any(axis=1) for table in known], axis=0).sum()
+        instances = {  # environments with as many instances share their draw
+            (table.shape[1], instance)
+            for table in known
+            for instance in np.flatnonzero(table.any(axis=0)).tolist()
+        }
+        return not policies == len(instances) == 1
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and of each agent the tables whose environments share it.
@@ -267,27 +270,33 @@ class Bootstrap:
 
         The resamples of a single value are NaN.
         """
-        return self._where_it_varies(self._resampled(agent, statistic), agent)
+        resampled = {"mean": self._means, "median": self._medians, "iqm": self._iqms}
+        return self._where_it_varies(resampled[statistic](agent), agent)
 
-    def _resampled(self, agent: str, statistic: PooledStatistic) -> Floats:
+    def _means(self, agent: str) -> Floats:
+        policies = self.policies[agent]
+        total, weight = np.zeros((2, len(policies)))
+        for draws, scores in self._sharing(agent):
+            known, shares = ~np.isnan(scores), self._shares[draws.shape[1]]
+            values = np.where(known, scores, 0.0).sum(axis=0)
+            total += _weighted_sums(shares, policies, values)[:, 0]
+            weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
+        with np.errstate(invalid="ignore"):
+            return np.asarray(total / weight)
+
+    def _medians(self, agent: str) -> Floats:
+        (table,) = self.scores.values[agent]
+        number = list(self.scores.values).index(agent)
+        resamples = len(self.policies[agent]) - 1
+        return _weighted_medians(table, _episode_counts(self._seed, number, table.shape, resamples))
+
+    def _iqms(self, agent: str) -> Floats:
+        """Weigh each distinct value once: times to target are whole steps, so that few differ."""
         tables, policies = self.scores.values[agent], self.policies[agent]
-        if statistic == "mean":
-            total, weight = np.zeros((2, len(policies)))
-            for draws, scores in self._sharing(agent):
-                known, shares = ~np.isnan(scores), self._shares[draws.shape[1]]
-                values = np.where(known, scores, 0.0).sum(axis=0)
-                total += _weighted_sums(shares, policies, values)[:, 0]
-                weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
-            with np.errstate(invalid="ignore"):
-                return np.asarray(total / weight)
-        if statistic == "median":
-            (table,) = tables
-            number = list(self.scores.values).index(agent)
-            counts = _episode_counts(self._seed, number, table.shape, len(policies) - 1)
-            return _median_of_counts(table, counts)
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
+        # Environments that share a draw share its columns: one for each policy and instance.
         sizes = len(policies.T) * np.array(list(self._shares))
         first = dict(zip(self._shares, np.cumsum(sizes) - sizes))
         drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
@@ -317,40 +326,21 @@ def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) ->
     return sums
 
 
-def _median_of_counts(table: Floats, counts: NDArray[np.unsignedinteger]) -> Floats:
+def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Floats:
     """Return the median in each resample, (R,): the mean of two values where these share it.
 
-    Where half of the weight is reached is looked for among blocks of sorted values, then in one.
     The `table` has the values of one environment, (policies, instances), NaN for none; `counts` are
     those of `_episode_counts`.
     """
-    values, width = table.ravel(), counts.shape[1]
-    known = values.size - np.count_nonzero(np.isnan(values))
-    size = math.isqrt(known) // 2 + 1  # more blocks than values in one: the latter cost more
-    order = np.full(-(-known // size) * size, values.size)  # the last block is filled with none
-    order[:known] = np.argsort(values)[:known]  # NaN last
-    if not known:
-        return np.full(width, np.nan)
-    weights = counts.take(order, axis=0, mode="clip").reshape(-1, size, width)
-    sums = weights.sum(axis=1, dtype=counts.dtype)
-    ends = _accumulate(sums.copy())
-    whole, resample = ends[-1], np.arange(width)
-    half = (whole + np.array([[1], [2]], counts.dtype)) >> 1  # of the weight, and beyond
-    least = np.minimum(half, whole)  # without any weight the first value is taken, and left out
-    block = (ends[:, None] < least).sum(axis=0)
-    first = block * (size * width) + resample
-    inside = weights.ravel().take(first + np.arange(0, size * width, width)[:, None, None])
-    inside[0] += (ends - sums)[block, resample]
-    place = block * size + (_accumulate(inside) < least).sum(axis=0)
-    middle = values.take(order.take(place)).sum(axis=0) / 2
-    return np.where(whole > 0, middle, np.nan)
-
-
-def _accumulate(rows: NDArray[Any]) -> NDArray[Any]:
-    """Add to each row those before it, in place: faster than `cumsum` for a few long rows."""
-    for before, row in pairwise(rows):
-        row += before
-    return rows
+    values = table.ravel()
+    order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
+    if not len(order):
+        return np.full(counts.shape[1], np.nan)
+    ends = np.cumsum(counts[order], axis=0, dtype=counts.dtype)
+    whole = ends[-1]
+    lower, upper = ((ends < half).sum(axis=0) for half in ((whole + 1) // 2, (whole + 2) // 2))
+    places = np.minimum([lower, upper], len(order) - 1)  # without any weight they are beyond it
+    return np.where(whole > 0, values[order[places]].sum(axis=0) / 2, np.nan)
 
 
 @dataclass(frozen=True)
