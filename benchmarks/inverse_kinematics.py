@@ -8,6 +8,7 @@ forward kinematics scores every posture, which also has to be within the limits 
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import platform
@@ -49,13 +50,13 @@ class Arguments:
     """Compare solvers of inverse kinematics.
 
     Attributes:
-        robots: their names; nobody tuned anything on ur10 and xarm7.
+        robots: their names; nothing was tuned on ur10 and xarm7.
         tables: their names.
         problems: of the table `reach`; the others have a share of it.
         peer_problems: at most so many of them for solvers that are not ours.
         seed: of all that is drawn.
         solvers: their names in the tables; none for all.
-        out: folder of the rows, and of the tables in Markdown.
+        out: folder of the rows as CSV, and of the tables in Markdown.
     """
 
     robots: tuple[str, ...] = ("panda", "ur5", "iiwa", "ur10", "xarm7")
@@ -360,25 +361,17 @@ COLUMNS = {
     "none": "% without an answer",
     "looks": "looks",
     "smooth": "% of paths without a jump",
-    "jump": "largest jump, rad: median",
-    "worst": "worst",
-    "mm": "mm: median",
-    "mm95": "95th percentile",
-    "rad": "rad: median",
-    "rad95": "95th percentile",
-    "us": "µs: median",
-    "us95": "95th percentile",
-    "rebuilt": "ms to build anew",
-    "n": "n",
+    "jump": "largest jump, median [rad]",
+    "worst": "largest jump, worst [rad]",
+    "mm": "error, median [mm]",
+    "mm95": "error, 95th percentile [mm]",
+    "rad": "error, median [rad]",
+    "rad95": "error, 95th percentile [rad]",
+    "us": "time, median [µs]",
+    "us95": "time, 95th percentile [µs]",
+    "rebuilt": "time to build anew [ms]",
+    "n": "problems",
 }
-NEEDLESS = {
-    "batch": ("us95",),
-    "longer": ("success",),
-    "outside": ("success", "late", "rad", "rad95"),
-    "path": ("mm", "mm95", "rad", "rad95"),
-}
-
-
 SUMMARY = {
     "reach": ("success", "us", "us95"),
     "batch": ("success", "us"),
@@ -390,14 +383,15 @@ SUMMARY = {
 }
 
 
-def markdown(table: str, rows: Sequence[Row]) -> str:
-    """Return a table of all rows, with the columns that apply."""
-    keys = [key for key in COLUMNS if any(key in row for row in rows)]
-    keys = [key for key in keys if key not in NEEDLESS.get(table, ())]
-    names = ["robot", *(["task"] if table == "reach" else []), "solver"]
-    lines = [[*names, *(COLUMNS[key] for key in keys)], ["---"] * (len(names) + len(keys))]
-    lines += [[*(row[n] for n in names), *(digits(row.get(k)) for k in keys)] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write all rows as CSV; a cell is empty without an answer, and if it does not apply."""
+    names = ["table", "robot", "task", "solver"]
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*names, *COLUMNS.values()])
+        for row in rows:
+            cells = [digits(row.get(key)).replace(",", "").replace("–", "") for key in COLUMNS]
+            writer.writerow([*(row.get(name, "") for name in names), *cells])
 
 
 def summary(table: str, rows: Sequence[Row]) -> str:
@@ -461,14 +455,14 @@ def main(arguments: Arguments) -> None:
             print(
                 f"{robot} {table}: {time.perf_counter() - begin:.0f} s, loads {loads}", flush=True
             )
-    for name, draw in (("summary", summary), ("rows", markdown)):
-        tables = [*text]
-        for table in TABLES:
-            paths = (arguments.out / f"{table}-{robot}-{arguments.seed}.json" for robot in ROBOTS)
-            rows = [row for path in paths if path.exists() for row in json.loads(path.read_text())]
-            tables += [f"## {table}\n\n{draw(table, rows)}"] if rows else []
-        path = arguments.out / f"{name}-{arguments.seed}.md"
-        path.write_text("\n\n".join(tables) + "\n")
+    every: list[Row] = []
+    for table in TABLES:
+        paths = (arguments.out / f"{table}-{robot}-{arguments.seed}.json" for robot in ROBOTS)
+        rows = [row for path in paths if path.exists() for row in json.loads(path.read_text())]
+        every += [{"table": table} | row for row in rows]
+        text += [f"## {table}\n\n{summary(table, rows)}"] if rows else []
+    (arguments.out / f"summary-{arguments.seed}.md").write_text("\n\n".join(text) + "\n")
+    write_rows(arguments.out / f"rows-{arguments.seed}.csv", every)
 
 
 if __name__ == "__main__":
