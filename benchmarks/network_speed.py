@@ -61,39 +61,37 @@ def repeated(arm: HingeArm, times: int) -> HingeArm:
 def hinge_table(arguments: Arguments) -> Table:
     """Iterations, time and memory until a pose is found, by the number of joints."""
     table = Table(title="Network of hinges: Pandas on Pandas, poses within 1 mm and 0.01 rad")
-    table.add_column("engine")
     for heading in ("joints", "nodes", "solved", "iterations", "µs alone", "µs in 256", "kB alone"):
         table.add_column(heading, justify="right")
-    for engine, count in (("numba", 256), ("numpy", 16)):
-        for times in (1, 2, 4):
-            arm = repeated(HingeArm.named("panda"), times)
-            network = HingeNetwork(arm, engine=engine)
-            random = np.random.default_rng(0)
-            poses = arm.forward(random.uniform(*arm.limits.T, (count, arm.joint_count)))
-            task = poses[:, :3, 3], poses[:, :3, :3]
-            network.solve(*task)  # compiles
-            seconds = []
-            for position, rotation in zip(*task):
-                start = time.process_time()
-                network.solve(position, rotation)
-                seconds.append(time.process_time() - start)
+    count = 256
+    for times in (1, 2, 4):
+        arm = repeated(HingeArm.named("panda"), times)
+        network = HingeNetwork(arm)
+        random = np.random.default_rng(0)
+        poses = arm.forward(random.uniform(*arm.limits.T, (count, arm.joint_count)))
+        task = poses[:, :3, 3], poses[:, :3, :3]
+        network.solve(*task)  # compiles
+        seconds = []
+        for position, rotation in zip(*task):
             start = time.process_time()
-            solution = network.solve(*task)
-            together = (time.process_time() - start) / count
-            tracemalloc.start()
             network.solve(position, rotation)
-            peak = tracemalloc.get_traced_memory()[1]
-            tracemalloc.stop()
-            table.add_row(
-                engine,
-                str(arm.joint_count),
-                str(arm.node_count),
-                f"{solution.is_solved.mean():.1%}",
-                f"{np.median(solution.iterations):.0f}",
-                f"{np.median(seconds) * 1e6:,.0f}",
-                f"{together * 1e6:,.0f}" if engine == "numba" else "–",
-                f"{peak / 1000:,.0f}",
-            )
+            seconds.append(time.process_time() - start)
+        start = time.process_time()
+        solution = network.solve(*task)
+        together = (time.process_time() - start) / count
+        tracemalloc.start()
+        network.solve(position, rotation)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        table.add_row(
+            str(arm.joint_count),
+            str(arm.node_count),
+            f"{solution.is_solved.mean():.1%}",
+            f"{np.median(solution.iterations):.0f}",
+            f"{np.median(seconds) * 1e6:,.0f}",
+            f"{together * 1e6:,.0f}",
+            f"{peak / 1000:,.0f}",
+        )
     return table
 
 

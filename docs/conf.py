@@ -68,7 +68,6 @@ nitpick_ignore_regex = [
     (r"py:.*", r"mmc_gym\.agents\.([a-z_]+\.)+\w+State"),
     (r"py:.*", r"mmc_gym\.envs\.(spec\.(Options|ReachEnvironment)|reach\.GoalEnvironment)"),
     (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),
-    (r"py:.*", r"mmc_gym\.robots\.iteration\.Plan"),
     # Type variables, and names of types that are no classes.
     (r"py:.*", r"mmc_gym\.agents\.base\.State"),
     (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),

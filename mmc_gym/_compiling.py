@@ -15,7 +15,7 @@ try:
 except ModuleNotFoundError as error:
     if error.name != "numba":
         raise
-    raise missing("engine 'analytic' or 'numba'", "numba", "fast") from error
+    raise missing("HingeNetwork or engine 'analytic'", "numba", "fast") from error
 
 inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 """Compile a function that others in its file call; a loop is no vector if it holds a call to it."""

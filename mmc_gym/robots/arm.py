@@ -83,9 +83,9 @@ class HingeArm:
         shapes = {"axes": (count, 3), "points": (count, 3), "home": (4, 4), "limits": (count, 2)}
         for name, shape in shapes.items():
             value = np.array(require_array(name, getattr(self, name)), np.float64)
-            fine = value.shape == shape and not np.isnan(value).any()
-            fine = fine and (name == "limits" or bool(np.isfinite(value).all()))
-            require(fine, name, getattr(self, name), f"of shape {shape}, of numbers")
+            require(value.shape == shape, name, value.shape, f"of shape {shape}")
+            require(not np.isnan(value).any(), name, value, "without nan")
+            require(name == "limits" or bool(np.isfinite(value).all()), name, value, "finite")
             object.__setattr__(self, name, value)
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         require(bool((lengths > 0).all()), "axes", self.axes, "other than zero")
@@ -104,7 +104,7 @@ class HingeArm:
         - `"ur5"`: Universal Robots UR5, from `base_link` to the flange `tool0`.
         - `"iiwa"`: KUKA LBR iiwa 14 R820, from `lbr_iiwa_link_0` to `lbr_iiwa_link_7`.
 
-        Their numbers and sources are in `arms.yml` beside this module.
+        Their numbers and sources are in `mmc_gym/robots/arms.yml`.
         """
         require_choice("name", name, get_args(NamedArm))
         table = read_yaml(_TABLES.read_text(encoding="utf-8"))[name]

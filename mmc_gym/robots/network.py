@@ -5,15 +5,17 @@ the unit vector u_i.  A clamp holds the vector v_0g from the base to a node, at 
 h_a of length s that turn with the hand stand for its rotation, and are held at h*_a.
 
 **What a hinge computes.**  From the triangle (0, k, g) follows v_kg = v*_0g − v_0k, one of the
-computations that `model` averages.  All others agree with the present value, because the vectors of
-a hinged arm are those of one posture q after each iteration.  So every hinge asks for the missing
+computations that `MMCNetwork` averages.  All others agree with the present value, because the
+vectors of a hinged arm are those of one posture q after each iteration.  What is missing is
 
     e_g = v*_0g − v_0g,      e_a = h*_a − h_a
 
-and its estimate is the angle by which it alone would best make up for it (least squares; the sums
-run over held vectors that it carries, and h_a counts as v_kg):
+and the estimate of a hinge is the angle by which it alone would best make up for it (least squares;
+the sums run over held vectors that it carries, and h_a counts as v_kg):
 
-    α_i = Σ_g (u_i × v_kg)·e_g / Σ_g |u_i × v_kg|²
+    α_i = Σ_g (u_i × v_kg)·e_g / Σ_g (|u_i × v_kg|² + max(0, c_g)),
+
+where c_g, the product of v_kg and e_g across u_i, counts where the arm is too short.
 
 **The mean of multiple computations** is over the hinges: n computations q^(i) of the posture, each
 of which differs from the present one in q_i by α_i, and the present one, weighted by the damping d:
@@ -24,13 +26,14 @@ With a velocity, as in the dynamic network, and limits in place of lengths,
 
     v ← α/d + decay·v,      q ← nearest posture within the limits to q + v
 
-where v forgets its past whenever this opposes the estimates, Σ_i α_i v_i Σ_g |u_i × v_kg|² < 0, and
-v_i = 0 at a limit.  A held joint has two equal limits.  The posture is at rest where all estimates
-vanish: at the target, or where no small change brings it nearer; hence the many starts.
+where v forgets its past (decay counts as 0) whenever it opposes the estimates,
+Σ_i v_i Σ_g (u_i × v_kg)·e_g < 0, and v_i = 0 at a limit.  A held joint has two equal limits.  The
+posture is at rest where all estimates vanish: at the target, or where no small change brings it
+nearer; hence the many starts.
 
 Near a solution no mode diverges for d > n/2 without a velocity, and for d > n/(2 (1 + decay)) with
 it, as long as it is not forgotten: n estimates may all ask for the same.  Those of few hinges, or
-of hinges in a plane, do, and need d > n/2.  (In the plane the bound of `model` is (N + 1)/2.)
+of hinges in a plane, do, and need d > n/2.  (The bound of `MMCNetwork` is (N + 1)/2.)
 
 So this shares the vectors, their triangles, clamps, damping and velocity with `MMCNetwork`, but it
 averages over hinges, where `MMCNetwork` averages over triangles and then normalizes each segment.
@@ -42,8 +45,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,7 +53,6 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import (
     UserError,
     require,
-    require_choice,
     require_floats,
     require_number,
     require_positive,
@@ -60,15 +61,14 @@ from mmc_gym._errors import (
     unknown,
 )
 from mmc_gym.geometry import Floats
-from mmc_gym.robots import iteration
 from mmc_gym.robots.arm import HingeArm, require_rotations
-from mmc_gym.robots.iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
+from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
 
 POOL = 128  # postures, of which the nearest to a task are its starts
 ALONE = 30  # iterations in which only the given start may win
-NEAR = 0.1  # miss of a start that has all of them, shares of the arm's length
+NEAR_START = 0.1  # miss of a start that has all of them, shares of the arm's length
 LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
-NEWTON = 6  # steps of it
+NEWTON_STEPS = 6
 FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
 _CHUNK = 64  # tasks in memory at once
@@ -87,8 +87,10 @@ class HingeState:
 class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    tasks: NDArray[Any]  #: the limits and places, an array (...) of `iteration.task_type`
-    plan: Plan  #: which parts are held
+    tasks: NDArray[Any]  #: the limits and places, an array (...) of `blocks.task_type`
+    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
+    has_rotation: bool  #: whether the hand's rotation is held
+    free_joints: int  #: number of joints that are not held
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +109,10 @@ class HingeSolution:
 class HingeNetwork:
     """Description of an MMC network for an arm of hinges; it holds no state.
 
-    >>> network = HingeNetwork(HingeArm.named("panda"), engine="numpy")
+    It takes the extra `fast`: numba compiles it, in some seconds for each number of joints and
+    nodes.
+
+    >>> network = HingeNetwork(HingeArm.named("panda"))
     >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={3: -1.8})
     >>> solution.is_solved.item(), solution.joint_angles[3].item()
     (True, -1.8)
@@ -122,9 +127,6 @@ class HingeNetwork:
     damping: float | None = None
     velocity_decay: float = 0.97  #: factor on the velocity in each iteration, from 0 to below 1
     hand_size: float = 0.12  #: s, length of the vectors that stand for the hand's rotation, m
-    #: "numpy"; "numba", which compiles the same algorithm in some seconds for each number of joints
-    #: and nodes; or None, "numba" where it is installed
-    engine: str | None = None
 
     def __post_init__(self) -> None:
         require(isinstance(self.arm, HingeArm), "arm", self.arm, "a HingeArm")
@@ -135,9 +137,7 @@ class HingeNetwork:
             accepted = f"finite, and more than n / (2 (1 + velocity_decay)) = {least:g}"
             require_number("damping", self.damping, accepted, lambda d: least < d < np.inf)
         require_positive("hand_size", self.hand_size)
-        require_choice("engine", self.engine, ("numpy", "numba", None))
-        if self.engine == "numba":
-            compiled_relax()  # raises here if numba is missing
+        import mmc_gym.robots.iteration  # noqa: F401  (raises here if numba is missing)
 
     def state(self, joint_angles: ArrayLike) -> HingeState:
         """Return arms at rest in postures (..., n)."""
@@ -173,12 +173,11 @@ class HingeNetwork:
             places[arm.node_count - 1] = _floats("position", position, (3,))
         shapes = [one.shape for one in angles.values()]
         shapes += [one.shape[:-1] for one in places.values()]
-        weight, turn = 0.0, np.zeros((3, 3))
+        turn = np.zeros((3, 3))
         if rotation is not None:  # as a turn of the whole arm
             wanted = _floats("rotation", rotation, (3, 3))
             require_rotations("rotation", wanted)
             turn = wanted @ arm.home[:3, :3].T
-            weight = 2 * self.hand_size**2
             shapes.append(turn.shape[:-2])
         tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
         tasks["low"], tasks["high"] = arm.limits.T
@@ -190,9 +189,7 @@ class HingeNetwork:
         is_placed = np.zeros(arm.node_count, np.bool_)
         is_placed[list(places)] = True
         free = max(1, arm.joint_count - len(held))
-        calm = 1 / (self.damping or CALM * free)
-        share = calm if self.damping or free <= FEW else 3 / free
-        return HingeClamps(tasks, Plan(is_placed, weight, share, calm, float(self.velocity_decay)))
+        return HingeClamps(tasks, is_placed, rotation is not None, free)
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -204,15 +201,15 @@ class HingeNetwork:
         tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
         lanes = np.resize(np.arange(len(tasks)), (-(-len(tasks) // LANES), LANES))
         blocks = self._blocks(tasks[lanes])
-        for name, values in (("angle", state.joint_angles), ("speed", state.joint_velocities)):
+        for name, values in (("angle", state.joint_angles), ("velocity", state.joint_velocities)):
             rows = np.broadcast_to(values, (*batch, n)).reshape(-1, n)
             blocks[name] = np.swapaxes(rows[lanes], 1, 2)
-        self._relax(blocks, clamps.plan._replace(times=iterations))
-        angles, speeds = (
+        self._settle(blocks, self._course(clamps, iterations))
+        angles, velocities = (
             np.swapaxes(blocks[name], 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
-            for name in ("angle", "speed")
+            for name in ("angle", "velocity")
         )
-        return HingeState(angles, speeds)
+        return HingeState(angles, velocities)
 
     def solve(
         self,
@@ -248,87 +245,89 @@ class HingeNetwork:
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)
         require_whole("iterations", iterations)
-        far, turn = near = tuple(require_positive("tolerance", each) for each in tolerance)
+        far, turn = (require_positive("tolerance", each) for each in tolerance)
         tasks, first = clamps.tasks, None
         if start is not None:
             first = _floats("start", start, (self.arm.joint_count,))
             batch = _together("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
-        batch, tasks = tasks.shape, tasks.reshape(-1)
-        pool = _pool(self.arm, max(starts, POOL), seed)
-        plan = clamps.plan._replace(
-            times=iterations,
+        course = self._course(
+            clamps,
+            iterations,
             far=max(far, LOOSE[0]),
             turn=max(turn, LOOSE[1]),
-            newton=NEWTON,
+            newton_steps=NEWTON_STEPS,
             is_exact=far < LOOSE[0] or turn < LOOSE[1],
             ridge=(10 * far) ** 2,
         )
-        ends = np.zeros(len(tasks), self._ends)
+        calm = course._replace(share=self._calm_share(clamps))
+        pool = _pool(self.arm, max(starts, POOL), seed)
+        race = _Race(course, calm, far, turn, pool, starts)
+        batch, tasks = tasks.shape, tasks.reshape(-1)
+        ends = np.empty(len(tasks), self._end_type)
         for least in range(0, len(tasks), _CHUNK):
             rows = slice(least, least + _CHUNK)
-            own = None if first is None else first[rows]
-            self._settle(ends[rows], tasks[rows], plan, near, own, pool, starts)
+            ends[rows] = self._best(race, tasks[rows], None if first is None else first[rows])
         ends = ends.reshape(batch)
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
 
-    def _settle(
-        self,
-        ends: NDArray[Any],
-        tasks: NDArray[Any],
-        plan: Plan,
-        near: tuple[float, ...],
-        start: Floats | None,
-        pool: Floats,
-        starts: int,
-    ) -> None:
-        """Write the best posture for each task into `ends`."""
+    def _best(self, race: _Race, tasks: NDArray[Any], start: Floats | None) -> NDArray[Any]:
+        """Return the best posture for each task: the first to settle, or else the nearest."""
+        ends = np.zeros(len(tasks), self._end_type)
         ends["rank"] = np.inf
-        active, blocks, order = np.arange(len(tasks)), self._blocks(tasks), None
-        for begin in range(0, starts, LANES):
-            group = begin + np.arange(LANES) % (starts - begin)  # few starts fill all lanes
+        rows, blocks, order = np.arange(len(tasks)), self._blocks(tasks), None
+        for begin in range(0, race.starts, LANES):
+            lanes = begin + np.arange(LANES) % (race.starts - begin)  # few starts fill all lanes
+            course = race.course if begin == 0 else race.calm
             if start is not None and begin == 0:
-                blocks["angle"] = pool[group].T
-                blocks["angle"][:, :, group == 0] = start[:, :, None]
-                self._relax(blocks, plan._replace(alone=ALONE, near=self._near))
+                postures = np.where((lanes == 0)[:, None], start[:, None], race.pool[lanes])
+                course = course._replace(alone=ALONE, near=self._near)
             else:
-                order = self._order(blocks, plan, pool) if order is None else order
-                postures = pool[order[:, group - LANES * (start is not None)]]
-                blocks["angle"], blocks["speed"] = np.swapaxes(postures, 1, 2), 0.0
-                self._relax(blocks, plan)
-            away = blocks["merit"]
+                order = self._order(blocks, course, race.pool) if order is None else order
+                postures = race.pool[order[:, lanes - LANES * (start is not None)]]
+            blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
+            self._settle(blocks, course)
+
+            away = None
             if start is not None:
-                away = ((blocks["angle"] - start[active, :, None]) ** 2).sum(axis=1)
+                away = ((blocks["angle"] - start[rows, :, None]) ** 2).sum(axis=1)
                 away[:, 0] *= begin > 0  # what settles from there wins
-            far, turn = np.sqrt(blocks["miss"]), np.zeros_like(away)
-            if plan.weight:
-                turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
-            is_settled = (far < near[0]) & (turn < near[1])
-            rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
-            every = np.arange(len(active))
-            lane = rank.argmin(axis=1)
-            ends["iterations"][active] += blocks["iterations"]
-            is_better = rank[every, lane] < ends["rank"][active]
-            rows, every, lane = active[is_better], every[is_better], lane[is_better]
-            ends["angle"][rows] = blocks["angle"][every, :, lane]
-            for name, values in (("far", far), ("turn", turn), ("rank", rank)):
-                ends[name][rows] = values[every, lane]
-            left = ends["rank"][active] >= 0
+            found = self._found(race, blocks, away)
+            found["iterations"] += ends["iterations"][rows]
+            is_better = found["rank"] < ends["rank"][rows]
+            ends["iterations"][rows] = found["iterations"]
+            ends[rows[is_better]] = found[is_better]
+            left = ends["rank"][rows] >= 0
             if not left.any():
                 break
-            active, blocks = active[left], blocks[left]
-            plan = plan._replace(share=plan.calm)
+            rows, blocks = rows[left], blocks[left]
             order = None if order is None else order[left]
+        return ends
 
-    def _order(self, blocks: NDArray[Any], plan: Plan, pool: Floats) -> NDArray[np.intp]:
+    def _found(self, race: _Race, blocks: NDArray[Any], away: Floats | None) -> NDArray[Any]:
+        """Return the best posture of each block: of those that have settled the least `away`."""
+        far, turn = np.sqrt(blocks["miss"]), np.zeros_like(blocks["miss"])
+        if race.course.weight:
+            turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
+        is_settled = (far < race.far) & (turn < race.turn)
+        away = blocks["merit"] if away is None else away
+        rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
+        every, lane = np.arange(len(blocks)), rank.argmin(axis=1)
+        found = np.empty(len(blocks), self._end_type)
+        found["angle"], found["iterations"] = blocks["angle"][every, :, lane], blocks["iterations"]
+        for name, values in (("far", far), ("turn", turn), ("rank", rank)):
+            found[name] = values[every, lane]
+        return found
+
+    def _order(self, blocks: NDArray[Any], course: Course, pool: Floats) -> NDArray[np.intp]:
         """Return the order of a pool for each task, those first that lack least, (batch, size)."""
         parts = len(pool) // LANES
         many = np.repeat(blocks, parts)
         each = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
         many["angle"] = np.tile(each, (len(blocks), 1, 1))
-        self._relax(many, plan._replace(times=0, newton=0))
+        self._settle(many, course._replace(iterations=0, newton_steps=0))
         return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
 
     def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
@@ -339,30 +338,52 @@ class HingeNetwork:
             blocks[name] = np.moveaxis(each, 1, -1) if tasks.ndim == 2 else each[..., None]
         return blocks
 
+    def _settle(self, blocks: NDArray[Any], course: Course) -> None:
+        """Iterate blocks in place."""
+        from mmc_gym.robots.iteration import settle
+
+        settle(blocks, self._zero_posture, course)
+
+    def _course(self, clamps: HingeClamps, iterations: int, **more: Any) -> Course:
+        """Return the course of `run`, or with `more` that of `solve`."""
+        is_calm = self.damping or clamps.free_joints <= FEW
+        share = self._calm_share(clamps) if is_calm else 3 / clamps.free_joints
+        weight = 2 * self.hand_size**2 if clamps.has_rotation else 0.0
+        decay = float(self.velocity_decay)
+        return Course(clamps.is_placed, weight, share, decay, iterations, **more)
+
+    def _calm_share(self, clamps: HingeClamps) -> float:
+        """Return 1/d for starts after the first ones have failed."""
+        return 1 / (self.damping or CALM * clamps.free_joints)
+
     @cached_property
     def _near(self) -> float:
         """Return the square of the distance below which a start is near."""
-        nodes = np.diff(self._arm.nodes, axis=0)
-        return float((NEAR * np.linalg.norm(nodes, axis=1).sum()) ** 2)
+        segments = np.diff(self._zero_posture.nodes, axis=0)
+        return float((NEAR_START * np.linalg.norm(segments, axis=1).sum()) ** 2)
 
     @cached_property
-    def _ends(self) -> np.dtype[Any]:
+    def _end_type(self) -> np.dtype[Any]:
         numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
-        n = self.arm.joint_count
-        return np.dtype([("angle", np.float64, (n,)), *numbers, ("iterations", np.int64)])
+        angle = ("angle", np.float64, (self.arm.joint_count,))
+        return np.dtype([angle, *numbers, ("iterations", np.int64)])
 
     @cached_property
-    def _relax(self) -> Any:
-        """`iteration.relax` for this arm, or the compiled one."""
-        is_compiled = self.engine == "numba" or (self.engine is None and find_spec("numba"))
-        relax = compiled_relax() if is_compiled else iteration.relax
-        return lambda blocks, plan: relax(blocks, self._arm, plan)
-
-    @cached_property
-    def _arm(self) -> Arm:
+    def _zero_posture(self) -> ZeroPosture:
         arm = self.arm
         nodes = arm.nodes(np.zeros(arm.joint_count))
-        return Arm(arm.axes, arm.points, nodes, np.array(arm.joint_nodes))
+        return ZeroPosture(arm.axes, arm.points, nodes, np.array(arm.joint_nodes))
+
+
+class _Race(NamedTuple):
+    """How `HingeNetwork.solve` lets starts settle."""
+
+    course: Course  #: of the first block of starts
+    calm: Course  #: of those that follow
+    far: float  #: tolerance of held nodes, m
+    turn: float  #: tolerance of the hand's rotation, radians
+    pool: Floats  #: postures to start from, (size, n)
+    starts: int  #: at most
 
 
 @lru_cache(maxsize=16)

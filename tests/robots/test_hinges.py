@@ -1,5 +1,6 @@
 """Arms of hinges in space, and the network that settles on their poses."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -30,13 +31,6 @@ ODD = """<robot name="odd">
 </robot>"""
 
 
-@pytest.fixture(params=["numpy", "numba"])
-def engine(request):
-    if request.param == "numba":
-        pytest.importorskip("numba", reason='it takes the extra "fast"')
-    return request.param
-
-
 def postures(arm, count, seed=3):
     return np.random.default_rng(seed).uniform(*arm.limits.T, (count, arm.joint_count))
 
@@ -59,46 +53,34 @@ RING = """<joint name="up" type="fixed"><parent link="e"/><child link="a"/></joi
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "message"),
+    ("before", "after", "named"),
     [
-        ("{kind}", "prismatic", "joint 'four' of line 10 must be revolute, continuous or fixed"),
-        ("{kind}", "", "joint 'four' of line 10 must be revolute, continuous or fixed, got ''"),
-        (
-            "<limit",
-            "<mimic joint='one'/><limit",
-            "'one' of line 3 must turn .* joint 'one' \\(<mimic>",
-        ),
-        ("</joint>", "", r"not well-formed XML: .*joint line 3 and robot"),
-        ('xyz="0.1 -0.2', "xyz=0.1 -0.2", "not well-formed XML: .*line 4"),
-        ("0.1 -0.2 0.3", "0.1 0.2", "joint 'one' of line 3 cannot be read: "),
-        (
-            "0.1 -0.2 0.3",
-            "nan 0 0",
-            "'one' of line 3 must have an <origin> of finite numbers",
-        ),
-        ("0 0.6 0.8", "0 0 0", "joint 'one' of line 3 must have an <axis> of three numbers"),
-        (LIMIT, "", "joint 'one' of line 3 must have a <limit> with lower and upper, as"),
-        ('lower="-1"', "", "joint 'one' of line 3 must have a <limit> with lower and upper, as"),
-        (
-            'lower="-1"',
-            'lower="2"',
-            "'one' of line 3 must have limits with lower < upper, got 2 and 2",
-        ),
-        ('<parent link="a"/>', "", "joint 'one' of line 3 must have a name, and a <parent link"),
+        ("{kind}", "prismatic", "joint 'four' of line 10 .*'prismatic'"),
+        ("{kind}", "", "joint 'four' of line 10 .*''"),
+        ("<limit", "<mimic joint='one'/><limit", "'one' of line 3 .*<mimic>"),
+        ("</joint>", "", "XML: .*line 3"),
+        ('xyz="0.1 -0.2', "xyz=0.1 -0.2", "XML: .*line 4"),
+        ("0.1 -0.2 0.3", "0.1 0.2", "joint 'one' of line 3"),
+        ("0.1 -0.2 0.3", "nan 0 0", "'one' of line 3 .*<origin>"),
+        ("0 0.6 0.8", "0 0 0", "joint 'one' of line 3 .*<axis>"),
+        (LIMIT, "", "joint 'one' of line 3 .*<limit>"),
+        ('lower="-1"', "", "joint 'one' of line 3 .*<limit>"),
+        ('lower="-1"', 'lower="2"', "'one' of line 3 .*limits .*2 and 2"),
+        ('<parent link="a"/>', "", "joint 'one' of line 3 .*<parent link"),
         ('<link name="a"/>', "", "base 'a' is not accepted"),
         ('<link name="e"/>', "", "tip 'e' is not accepted"),
-        ('<parent link="c"/>', '<parent link="e"/>', "tree, but joint 'four' of line 10 closes"),
-        ('<child link="c"/>', '<child link="b"/>', "'b' .* not of joint 'one' .* and joint 'two'"),
-        ('<parent link="a"/>', '<parent link="z"/>', "hang from base 'a', but it hangs from 'z'"),
-        ("<robot", '<!DOCTYPE r [<!ENTITY x "y">]><robot', "without a DOCTYPE"),
-        ("robot", "sdf", "must be a URDF file: a <robot>"),
+        ('<parent link="c"/>', '<parent link="e"/>', "joint 'four' of line 10 .*circle"),
+        ('<child link="c"/>', '<child link="b"/>', "'b' .*'one' .*'two'"),
+        ('<parent link="a"/>', '<parent link="z"/>', "base 'a', .*'z'"),
+        ("<robot", '<!DOCTYPE r [<!ENTITY x "y">]><robot', "DOCTYPE"),
+        ("robot", "sdf", "<robot>"),
     ],
 )
-def test_a_file_that_describes_no_arm_of_hinges_is_refused(before, after, message, tmp_path):
+def test_a_file_that_describes_no_arm_of_hinges_is_refused(before, after, named, tmp_path):
     pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
     path, text = tmp_path / "odd.urdf", ODD.replace(before, after, -1 if before == "robot" else 1)
     path.write_text(text.replace("{kind}", "revolute"))
-    with pytest.raises(UserError, match=message):
+    with pytest.raises(UserError, match=named):
         HingeArm.from_urdf(path, base="a", tip="e")
 
 
@@ -155,11 +137,10 @@ def test_the_rule_makes_a_robot_a_chain_of_three_rigid_segments(name):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_it_finds_random_poses_within_the_limits(name, engine):
+def test_it_finds_random_poses_within_the_limits(name):
     arm = HingeArm.named(name)
-    count = 200 if engine == "numba" else 4
-    poses = arm.forward(postures(arm, count))
-    network = HingeNetwork(arm, engine=engine)
+    poses = arm.forward(postures(arm, 200))
+    network = HingeNetwork(arm)
     solution = network.solve(poses[:, :3, 3], poses[:, :3, :3], tolerance=EXACT)
     assert solution.is_solved.all()
     np.testing.assert_allclose(arm.forward(solution.joint_angles), poses, atol=2e-5)
@@ -186,34 +167,11 @@ def test_a_robot_with_few_free_joints_finds_its_poses_by_itself(free):
     assert network.solve(poses[:, :3, 3], poses[:, :3, :3], held=held).is_solved.all()
 
 
-def test_engines_do_the_same_operations():
-    pytest.importorskip("numba", reason='it takes the extra "fast"')
-    arm = HingeArm.named("ur5")
-    pose, elbow = arm.forward([0.5] * 6), {1: [[0.2, 0.1, 0.3], [0.1, 0.3, 0.4]]}
-    ends = []
-    for engine in ("numpy", "numba"):
-        network = HingeNetwork(arm, engine=engine)
-        clamps = network.clamp(pose[:3, 3], pose[:3, :3], held={4: 0.2}, points=elbow)
-        ends.append(network.run(network.state(postures(arm, 2)), clamps, 40))
-    np.testing.assert_allclose(ends[0].joint_angles, ends[1].joint_angles, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(ends[0].joint_velocities, ends[1].joint_velocities, atol=1e-12)
-    starts = np.full((3, 6), [[0.55], [1.4], [3.0]])  # one of them is near
-    for tolerance in ((1e-3, 1e-2), EXACT):
-        found = [
-            HingeNetwork(arm, engine=engine).solve(
-                pose[:3, 3], pose[:3, :3], start=starts, tolerance=tolerance
-            )
-            for engine in ("numpy", "numba")
-        ]
-        assert found[0].iterations.tolist() == found[1].iterations.tolist()
-        np.testing.assert_allclose(found[0].joint_angles, found[1].joint_angles, atol=1e-9)
-
-
-def test_tasks_may_be_mixed(engine):
+def test_tasks_may_be_mixed():
     """The hand at one point, the elbow at another, a joint locked: every clamp holds."""
     arm = HingeArm.named("panda")
     nodes = arm.nodes(POSTURE)
-    solution = HingeNetwork(arm, engine=engine).solve(
+    solution = HingeNetwork(arm).solve(
         position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, tolerance=EXACT
     )
     assert solution.is_solved
@@ -221,16 +179,16 @@ def test_tasks_may_be_mixed(engine):
     assert solution.joint_angles[5] == 1.6
 
 
-def test_held_joints_give_the_forward_task(engine):
-    network = HingeNetwork(HingeArm.named("panda"), engine=engine)
+def test_held_joints_give_the_forward_task():
+    network = HingeNetwork(HingeArm.named("panda"))
     clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(POSTURE)))
     state = network.run(network.state(np.zeros(7)), clamps, 3)
     assert state.joint_angles.tolist() == POSTURE.tolist()
 
 
-def test_a_target_out_of_reach_gives_the_stretched_arm(engine):
+def test_a_target_out_of_reach_gives_the_stretched_arm():
     arm = HingeArm.named("ur5")
-    solution = HingeNetwork(arm, engine=engine).solve([3.0, 0.0, 0.089159], starts=16)
+    solution = HingeNetwork(arm).solve([3.0, 0.0, 0.089159], starts=16)
     assert not solution.is_solved
     hand = arm.forward(solution.joint_angles)[:3, 3]
     reach = 0.425 + 0.39225 + np.hypot(0.0823, 0.09465)
@@ -238,10 +196,10 @@ def test_a_target_out_of_reach_gives_the_stretched_arm(engine):
     assert np.abs(hand[1:] - [0.0, 0.089159]).max() < 0.05
 
 
-def test_the_given_start_is_preferred(engine):
+def test_the_given_start_is_preferred():
     arm = HingeArm.named("panda")
     pose = arm.forward(POSTURE + 0.05)
-    near = HingeNetwork(arm, engine=engine).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
+    near = HingeNetwork(arm).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
     assert near.is_solved
     assert np.abs(near.joint_angles - POSTURE).max() < 0.15
 
@@ -283,19 +241,22 @@ def test_batches_are_solved_as_their_tasks_alone():
     assert alone.joint_angles.tolist() == together.joint_angles[1, 2].tolist()
 
 
-def test_tasks_are_checked():
-    for arguments, message in (
-        ({"position": [1.0, 2.0]}, r"position must be of shape \(..., 3\)"),
-        ({"rotation": np.eye(4)}, r"rotation must be of shape \(..., 3, 3\)"),
-        ({"held": {7: 0.0}}, "joint 7 is not accepted"),
-        ({"points": {0: [0, 0, 0]}}, "node 0 is not accepted"),
-        ({"position": [np.nan, 0, 0]}, "position must be finite"),
-        ({"start": np.full(7, np.nan)}, "start must be finite"),
-        ({"position": np.zeros((2, 3)), "start": np.zeros((3, 7))}, "start must have batch axes"),
-        ({"start": np.zeros(6)}, r"start must be of shape \(..., 7\)"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            HingeNetwork(HingeArm.named("panda")).solve(**arguments)
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"position": [1.0, 2.0]}, r"position .* \(..., 3\)"),
+        ({"rotation": np.eye(4)}, r"rotation .* \(..., 3, 3\)"),
+        ({"held": {7: 0.0}}, "joint 7"),
+        ({"points": {0: [0, 0, 0]}}, "node 0"),
+        ({"position": [np.nan, 0, 0]}, "position .* finite"),
+        ({"start": np.full(7, np.nan)}, "start .* finite"),
+        ({"position": np.zeros((2, 3)), "start": np.zeros((3, 7))}, "start .* batch axes"),
+        ({"start": np.zeros(6)}, r"start .* \(..., 7\)"),
+    ],
+)
+def test_a_task_that_does_not_fit_the_arm_is_refused(arguments, named):
+    with pytest.raises(UserError, match=named):
+        HingeNetwork(HingeArm.named("panda")).solve(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -325,15 +286,29 @@ def test_a_rotation_in_single_precision_is_accepted():
     assert HingeNetwork(arm).clamp(rotation=turns[:0]).tasks.shape == (0,)
 
 
-def test_descriptions_are_checked():
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda arm: HingeNetwork(arm, damping=1.5), "damping .* more than"),
+        (lambda arm: replace(arm, limits=arm.limits[:, ::-1]), "limits .* pairs"),
+        (lambda arm: replace(arm, points=arm.points[1:]), r"points .* \(7, 3\)"),
+        (lambda arm: replace(arm, points=np.nan * arm.points), "points"),
+        (lambda arm: replace(arm, points=np.inf * arm.points), "points"),
+        (lambda arm: replace(arm, home=np.diag([1, 1, -1, 1])), "home .* rotation.*determinant -1"),
+        (lambda arm: replace(arm, home=np.diag([1, 1, 1, 2])), "home .* pose"),
+        (lambda arm: HingeArm.named("pandas"), "did you mean 'panda'"),
+    ],
+)
+def test_a_description_of_no_arm_or_network_is_refused(make, named):
     arm = HingeArm.named("panda")
-    with pytest.raises(ValueError, match="damping must be finite, and more than"):
-        HingeNetwork(arm, damping=1.5)
-    with pytest.raises(ValueError, match="limits must be pairs"):
-        replace(arm, limits=arm.limits[:, ::-1])
-    with pytest.raises(ValueError, match=r"home must be a rotation.*determinant -1"):
-        replace(arm, home=np.diag([1, 1, -1, 1]))
-    with pytest.raises(ValueError, match="home must be a pose"):
-        replace(arm, home=np.diag([1, 1, 1, 2]))
-    with pytest.raises(ValueError, match="did you mean 'panda'"):
-        HingeArm.named("pandas")
+    with np.errstate(invalid="ignore"), pytest.raises(UserError, match=named):
+        make(arm)
+
+
+def test_without_numba_a_network_names_the_extra(monkeypatch):
+    for name in ("numba", "mmc_gym._compiling", "mmc_gym.robots.iteration"):
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, "mmc_gym._compiling")
+    monkeypatch.delitem(sys.modules, "mmc_gym.robots.iteration")
+    with pytest.raises(UserError, match=r"HingeNetwork .* needs numba, .*mmc-gym\[fast\]"):
+        HingeNetwork(HingeArm.named("ur5"))

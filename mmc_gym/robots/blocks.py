@@ -1,0 +1,59 @@
+"""What the network of hinges hands to its compiled iterations."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.geometry import Floats
+
+LANES = 16  # postures in a block
+
+
+class ZeroPosture(NamedTuple):
+    """A `HingeArm` in its zero posture: its nodes, and the node of each hinge."""
+
+    axes: Floats
+    points: Floats
+    nodes: Floats
+    joint_nodes: NDArray[np.int64]
+
+
+class Course(NamedTuple):
+    """How blocks iterate: what is held, the mean, and when they stop."""
+
+    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
+    weight: float  #: 2 s² where the hand's rotation is held, otherwise 0
+    share: float  #: 1/d
+    decay: float  #: factor on the velocity
+    iterations: int  #: at most
+    far: float = 0.0  #: tolerance of held nodes, m; 0 where iterations shall not stop
+    turn: float = 0.0  #: tolerance of the hand's rotation, radians
+    alone: int = 0  #: iterations in which a block stops only when its first posture has settled
+    near: float = 0.0  #: a first posture that lacks less, m², has all iterations alone
+    newton_steps: int = 0  #: steps of Newton's method that follow then
+    is_exact: bool = False  #: whether they follow in all blocks
+    ridge: float = 0.0  #: their least damping, m²
+
+
+@lru_cache
+def task_type(joints: int, nodes: int) -> np.dtype[Any]:
+    """Return the type of a task: limits, places of held nodes, rotation as a turn of the arm."""
+    shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "wanted": (3, 3)}
+    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
+
+
+@lru_cache
+def block_type(joints: int, nodes: int) -> np.dtype[Any]:
+    """Return the type of a block: a task, and arrays of its lanes that `iteration` names."""
+    task = task_type(joints, nodes)
+    shapes: dict[str, tuple[int, ...]] = {name: task[name].shape for name in task.names or ()}
+    shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled"), ())
+    shapes |= dict.fromkeys(("angle", "velocity", "pull", "leverage", "free"), (joints,))
+    shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (joints, 3)}
+    shapes |= {"row": (joints, joints + 1), "turn": (3, 3), "shift": (3,), "spin": (3,)}
+    kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]
+    return np.dtype([*kinds, ("iterations", np.int64), ("alone", np.int64)])
