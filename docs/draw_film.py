@@ -16,18 +16,19 @@ from PIL import Image
 from mmc_gym._files import write_atomically
 from mmc_gym.agents import resolve
 from mmc_gym.benchmark.suite import make_player
+from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.measures import episode_seeds, run_episodes
 
 AGENTS = ("mmc", "mmc-body", "ppo")
 EPISODES = (0, 11)  # of those that `mmc-gym compare` plays
-SCENARIO = {"perturbations": ["locks-2"], "render_mode": "rgb_array"}
+SCENARIO = parse_scenario("locks-2", render_mode="rgb_array")
 SIZE = 288  # pixels of a panel
 COLOURS = 64
 
 
 def panels(agent: str) -> list[Image.Image]:
     """Return the pictures of one agent, with its name."""
-    world, player = make_player(resolve(agent), "MMCReach-v0", SCENARIO)
+    world, player = make_player(resolve(agent), SCENARIO)
     filmed, found = Filmed(world), []
     for number in EPISODES:
         run_episodes(player, filmed, [episode_seeds(0, number + 1)[-1]], records_effort=False)

@@ -14,6 +14,7 @@ import io
 import json
 import shutil
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import astuple
 from functools import partial
 from pathlib import Path
@@ -31,10 +32,10 @@ from mmc_gym._files import write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
 from mmc_gym.agents import resolve
-from mmc_gym.benchmark.suite import SCENARIOS, make_player, play_episodes
-from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.benchmark.suite import SCENARIOS, Arms, make_player, play_episodes
+from mmc_gym.envs.names import FAMILIES, TASKS
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, scenario
+from mmc_gym.envs.scenarios import Scenario, parse_scenario
 from mmc_gym.listing import describe
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.reaching import success
@@ -185,11 +186,13 @@ def write_thumbnails(app: Any) -> None:
 
 def all_scenarios() -> dict[str, Scenario]:
     """Return the scenarios that have a page: the benchmark's, the default strengths among them."""
-    defaults = {one.name: one for one in map(scenario, FAMILIES)}
+    every = {one.name: one for one in (*SCENARIOS.values(), *map(parse_scenario, FAMILIES))}
     order = ["", *FAMILIES]
-    known = {**SCENARIOS, **TASK_SCENARIOS, **defaults}.values()
-    known = sorted(known, key=lambda one: (order.index(one.family), one.known))
-    return {one.name: one for one in known}
+
+    def place(one: Scenario) -> tuple[int, bool]:
+        return order.index(one.family), one.name.endswith("-known")
+
+    return {one.name: one for one in sorted(every.values(), key=place)}
 
 
 def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
@@ -257,7 +260,7 @@ def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
             lines += [f":img-top: ../{films}/{name}.webp"] if films else []
             lines += [scenarios[name].description, ":::", ""]
         lines += ["::::", ""]
-    lines += ["## All tasks", "", *table(scenarios[name] for name in TASK_SCENARIOS)]
+    lines += ["## All tasks", "", *table(scenarios[name] for name in TASKS)]
     lines += ["## All perturbations", "", "Any strength is accepted; these have a page.", ""]
     lines += ["| name | what it is | strengths |", "| --- | --- | --- |"]
     for family in FAMILIES.values():
@@ -319,8 +322,9 @@ def definition(text: str, one: Scenario, heading: str) -> Iterator[str]:
     sign = ":   "
     for line in text.splitlines():
         if heading == "perturbation":
+            parts = [change.perturbation for change in one.changes]
             made, _, about = line.partition(": ")
-            names = {type(part).__name__: type(part).__module__ for part in one.perturbations}
+            names = {type(part).__name__: type(part).__module__ for part in parts}
             name = made.partition("(")[0]
             line = f"{{py:class}}`~{names[name]}.{name}` {about} Here: `{made}`."
         yield f"{sign}{line}"
@@ -364,10 +368,11 @@ def film(one: Scenario, folder: Path) -> None:
 def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     """Return how many of the episodes end at the target, and pictures of the first."""
     found, seeds = resolve(agent), episode_seeds(0, EPISODES)
-    world, player = make_player(found, one, {"render_mode": "rgb_array"})
+    world, player = make_player(found, one.with_arguments(render_mode="rgb_array"))
     filmed = Filmed(world)
     run_episodes(player, filmed, seeds[:1], records_effort=False)
-    episodes = play_episodes(found, one, world, player, seeds, timed=0)
+    with closing(Arms(one)) as arms:
+        episodes = play_episodes(found, arms, world, player, seeds, timed=0)
     world.close()
     return sum(map(int, map(success, episodes))), filmed.pictures
 

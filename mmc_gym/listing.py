@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mmc_gym._errors import UserError
 from mmc_gym._notebook import html_table
 from mmc_gym.agents import AGENTS, AgentEntry
-from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
-from mmc_gym.envs.tasks import TASKS, Task
+from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
+from mmc_gym.envs.scenarios import Playable, Scenario, find_scenario, name_of
+from mmc_gym.envs.tasks import Task
 
 if TYPE_CHECKING:
     from mmc_gym.measures import Measure
@@ -61,7 +61,7 @@ def _needs_of_agent(entry: AgentEntry) -> str:
 
 def list_tasks() -> Listing:
     """Return the names of all tasks; `task=NAME` of an environment takes them."""
-    rows = (Listed(name, TASK_SCENARIOS[name].description, _trials(TASKS[name])) for name in TASKS)
+    rows = (Listed(name, one.description, _trials(one.task)) for name, one in TASKS.items())
     return Listing(Listed("task", "what it is", "episodes"), rows)
 
 
@@ -91,9 +91,10 @@ def list_scenarios() -> Listing:
     """Return the names of the benchmark's scenarios; any other strength works, too."""
     from mmc_gym.benchmark.suite import SCENARIOS
 
+    own = {name: Scenario(task) for name, task in TASKS.items()}
     rows = (
-        Listed(name, one.description, _trials(find_task(one.task)))
-        for name, one in {**SCENARIOS, **TASK_SCENARIOS}.items()
+        Listed(name, one.description, _trials(one.task.task))
+        for name, one in {**SCENARIOS, **own}.items()
     )
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
@@ -130,7 +131,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     Args:
         name: of a scenario or experiment, or the id of an environment.
     """
-    if name in AGENTS and name not in TASK_SCENARIOS:
+    if name in AGENTS and name not in TASKS:
         raise UserError(
             f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "
             "it, `mmc-gym list scenarios` has what can be shown"
@@ -142,7 +143,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         experiment = str(find_experiment(name))
         rows = [("experiment", experiment), ("run it", f"mmc-gym adapt {name}")]
     try:
-        found = scenario(name)
+        found = find_scenario(name)
     except UserError:
         if not rows:
             raise
@@ -153,9 +154,10 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     task = setup.task
     yield found.name, found.description
     yield "make it", "\n".join(_ways_to_make(found))
-    yield "task", f"{type(task).__name__ if found.env else found.task_name}: {_about(task)}"
-    for one in found.perturbations:
-        yield "perturbation", f"{one}: {_about(one)}"
+    task_name = found.task.name if isinstance(found, Scenario) else type(task).__name__
+    yield "task", f"{task_name}: {_about(task)}"
+    for one in found.changes:
+        yield "perturbation", f"{one.perturbation}: {_about(one.perturbation)}"
     if setup.delay:
         late = 1000 * setup.delay * setup.given_body.control_step
         yield "delay", f"{setup.delay} control steps, {late:g} ms"
@@ -178,27 +180,28 @@ def _about(thing: object) -> str:
     return " ".join(text.partition("Attributes:")[0].split())
 
 
-def _ways_to_make(found: Scenario) -> Iterator[str]:
+def _ways_to_make(found: Playable) -> Iterator[str]:
     """Yield code and commands; the first line needs nothing but the name."""
-    changes = found.named_perturbations
-    names = "".join(f", {name}={value}" for name, value in changes.items()).replace("'", '"')
-    env_id = environment_id(found.task_name) if found.env is None else found.env_id
+    names = ", ".join(f'"{one.name}"' for one in found.changes)
+    changes = f", perturbations=[{names}]" if names else ""
+    if isinstance(found, Scenario):
+        env_id = environment_id(found.task.name)
+    else:
+        env_id = name_of(found.env)
     yield f'mmc_gym.make("{found.name}")'
-    yield f'gym.make("{env_id}"{names})'
+    yield f'gym.make("{env_id}"{changes})'
     yield f"mmc-gym benchmark --scenarios {found.name}"
 
 
-def _given(found: Scenario, setup: Any) -> Iterator[str]:
+def _given(found: Playable, setup: Any) -> Iterator[str]:
     """Yield what agents are given, and how the simulated arm differs from that."""
-    if not found.perturbations:
+    if not found.changes:
         yield "are given the arm as it is"
         return
-    names = found.named_perturbations["perturbations"]
-    for name, change in zip(names, found.perturbations, strict=True):
-        thing = "the perturbation" if len(names) == 1 else name
-        hint = (
-            f"; with {name}-known they are" if "known" in vars(change) and not change.known else ""
-        )
+    for change in found.changes:
+        thing = "the perturbation" if len(found.changes) == 1 else change.name
+        can_be_given = change.family is not None and change.family.known and not change.known
+        hint = f"; with {change.name}-known they are" if can_be_given else ""
         yield f"are {'' if change.known else 'not '}given {thing}{hint}"
     for one in fields(setup.given_body):
         given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)

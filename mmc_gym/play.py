@@ -19,7 +19,7 @@ from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs import render as drawing
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import open_display
-from mmc_gym.envs.scenarios import EnvLike
+from mmc_gym.envs.scenarios import EnvLike, parse_environment
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
 _LINE = 26  # height of a line of text, pixels
@@ -47,7 +47,7 @@ def play(
     try:
         first = resolve(agent, allow_pickle=allow_pickle)
         given = {**(env_kwargs or {}), "render_mode": "rgb_array", "max_episode_steps": -1}
-        world, _ = make_player(first, env, given)
+        world, _ = make_player(first, parse_environment(env, given))
         with closing(world):
             makers: dict[str, Callable[[], Predictor]]
             makers = {name: partial(one.make, world) for name, one in AGENTS.items()}

@@ -18,8 +18,8 @@ from mmc_gym._errors import UserError, missing
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, resolve
-from mmc_gym.benchmark.suite import make_player, played_scenario
-from mmc_gym.envs.scenarios import EnvLike
+from mmc_gym.benchmark.suite import make_player
+from mmc_gym.envs.scenarios import EnvLike, parse_environment
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 Picture = NDArray[np.uint8]
@@ -52,8 +52,7 @@ def record(
     resolved = resolve(agent, allow_pickle=allow_pickle)
     seeds = episode_seeds(seed, episodes)
     given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
-    played = env if interface is None else played_scenario(env, {}, interface)
-    world, player = make_player(resolved, played, given)
+    world, player = make_player(resolved, parse_environment(env, given, interface))
     try:
         pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
         film = films[out.suffix](pictures, world.metadata["render_fps"])

@@ -29,9 +29,7 @@ from filelock import FileLock  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
-from mmc_gym.envs.perturbations import FAMILIES  # noqa: E402
-from mmc_gym.envs.scenarios import TASK_SCENARIOS  # noqa: E402
-from mmc_gym.envs.tasks import TASKS  # noqa: E402
+from mmc_gym.envs.names import FAMILIES, TASKS  # noqa: E402
 from mmc_gym.measures import MEASURES, Episode  # noqa: E402
 
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in
@@ -101,7 +99,7 @@ def once(tmp_path_factory):
 
 @pytest.fixture
 def forget_what_is_registered():
-    registries = FAMILIES, MEASURES, TASKS, TASK_SCENARIOS, gym.registry
+    registries = FAMILIES, MEASURES, TASKS, gym.registry
     before = [dict(registry) for registry in registries]
     yield
     for registry, entries in zip(registries, before, strict=True):

@@ -10,9 +10,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
-from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import scenario
-from mmc_gym.envs.tasks import TASKS
+from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.experiments.experiment import EXPERIMENTS
 from mmc_gym.listing import describe
 from mmc_gym.measures import MEASURES
@@ -56,7 +55,7 @@ def test_too_few_columns_for_a_table_are_none_at_all(columns, capsys, monkeypatc
     ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-known"],
 )
 def test_what_it_says_makes_a_scenario_does_make_it(name):
-    expected = scenario(name).make().unwrapped.setup
+    expected = parse_scenario(name).make().unwrapped.setup
     ways = re.findall(r"\w*gym\.make\(.*\)", dict(describe(name))["make it"])
     assert len(ways) == 2
     for way in ways:

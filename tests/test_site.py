@@ -23,9 +23,8 @@ from PIL import Image
 
 import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import scenario
-from mmc_gym.envs.tasks import TASKS
+from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.scenarios import parse_scenario
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -94,7 +93,7 @@ def pages(site):
 
 @pytest.mark.slow
 def test_every_scenario_has_a_page(site):
-    for name in {*SCENARIOS, *TASKS, *(scenario(name).name for name in FAMILIES)}:
+    for name in {*SCENARIOS, *TASKS, *(parse_scenario(name).name for name in FAMILIES)}:
         text = re.sub("<[^>]+>", "", (site / "envs" / f"{name}.html").read_text())
         assert re.search(rf"mmc-gym benchmark --\w+ {name}\b", text)
 

@@ -43,17 +43,16 @@ from mmc_gym.benchmark.statistics import (
 )
 from mmc_gym.benchmark.store import episode_columns
 from mmc_gym.benchmark.suite import (
+    Arms,
     has_reference,
     make_player,
     minimum_jerk_episodes,
     play_episodes,
-    played_scenario,
 )
-from mmc_gym.envs.scenarios import EnvLike, Scenario
+from mmc_gym.envs.scenarios import EnvLike, Playable, parse_environment
 from mmc_gym.interface import InterfacedEnv, read_attribute
 from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, leave_out_failures
 from mmc_gym.measures.catalogue import shown_measures
-from mmc_gym.measures.rollout import check_environment
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +65,7 @@ TIMED = 10
 
 def compare(
     agents: Agents,
-    env: EnvLike = "MMCReach-v0",
+    env: EnvLike | Playable = "MMCReach-v0",
     episodes: int = 200,
     seed: int = 0,
     out: Path | str | None = None,
@@ -110,27 +109,24 @@ def compare(
     >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
     {'random': 2, 'minimum jerk (ideal)': 2}
     """
-    given = dict(env_kwargs or {})
-    asked = {"control": given.pop("control", None)}
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     chosen = _focus(found, [focus] if isinstance(focus, str) else focus)
     found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
     seeds, seed = episode_seeds(seed, episodes), int(seed)
     if out is not None:
         out = check_folder(out, "out")
-    scenario = played_scenario(env, given, interface)
-    with closing(scenario.make(asked["control"])) as made:
-        check_environment(made)
+    scenario = parse_environment(env, env_kwargs, interface)
     envs: list[gym.Env[Any, Any]] = []
     players: list[Predictor] = []
     with ExitStack() as stack:
         # All are made before the first one plays, so that a missing file is noticed at once.
         for agent in found:
-            made, player = make_player(agent, scenario, asked)
+            made, player = make_player(agent, scenario)
             stack.callback(made.close)
             envs.append(made)
             players.append(player)
-        played = _play(found, scenario, envs, players, seeds)
+        arms = stack.enter_context(closing(Arms(scenario)))
+        played = _play(found, arms, envs, players, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
     steps = {
         agent.label: getattr(player, "training_steps", None)
@@ -441,7 +437,7 @@ def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) 
 
 def _play(
     agents: Sequence[ResolvedAgent],
-    scenario: Scenario,
+    arms: Arms,
     envs: Sequence[gym.Env[Any, Any]],
     players: Sequence[Predictor],
     seeds: Sequence[int],
@@ -459,6 +455,6 @@ def _play(
         for agent, env, player in zip(agents, envs, players):
             progress.update(task, description=agent.label, refresh=True)
             played.append(
-                play_episodes(agent, scenario, env, player, seeds, timed=TIMED, on_episode=advance)
+                play_episodes(agent, arms, env, player, seeds, timed=TIMED, on_episode=advance)
             )
         return played

@@ -43,6 +43,7 @@ from mmc_gym.benchmark.store import (
     write_cell,
 )
 from mmc_gym.benchmark.suite import (
+    Arms,
     Environments,
     find_scenarios,
     has_reference,
@@ -50,7 +51,7 @@ from mmc_gym.benchmark.suite import (
     minimum_jerk_episodes,
     play_episodes,
 )
-from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.envs.scenarios import Playable
 from mmc_gym.interface import CannotActError, ReachInterface, read_attribute
 from mmc_gym.measures import (
     MEASURES,
@@ -80,7 +81,7 @@ class BenchmarkCell:
     """An agent in a scenario."""
 
     agent: ResolvedAgent
-    scenario: Scenario
+    scenario: Playable
     episodes: int  #: how many, where the scenario does not number its trials
     seed: int  #: that the seeds of the episodes are derived from, the same for all cells
     control: str | None = None  #: the control mode that the user asks for, see `make_player`
@@ -175,8 +176,10 @@ def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
     seeds = episode_seeds(cell.seed, len(instances))
     if cell.agent.is_reference:
         return _play_reference(cell, seeds, instances), ""
-    env, player = make_player(cell.agent, cell.scenario, {"control": cell.control})
-    episodes = play_episodes(cell.agent, cell.scenario, env, player, seeds, instances, timed=TIMED)
+    asked = {} if cell.control is None else {"control": cell.control}
+    env, player = make_player(cell.agent, cell.scenario.with_arguments(**asked))
+    with closing(Arms(cell.scenario)) as arms:
+        episodes = play_episodes(cell.agent, arms, env, player, seeds, instances, timed=TIMED)
     return episodes, str(read_attribute(env, "control"))
 
 
@@ -242,8 +245,9 @@ def benchmark(
     found = resolve_all(agents, allow_pickle=allow_pickle)
     episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
     check_workers(jobs, cluster)
+    settings = {name: _settings(one) for name, one in scenarios.items()}
     store = check_folder(out, "out")
-    begun = update_manifest(store, partial(_joined, store, scenarios, found, episodes, seed))
+    begun = update_manifest(store, partial(_joined, store, settings, found, episodes, seed))
     first: dict[str, int | None] = {}  # of each agent the first training keeps paths
     for one in sorted(found, key=lambda one: one.training_seed or 0):
         first.setdefault(one.label, one.training_seed)
@@ -257,7 +261,7 @@ def benchmark(
             keeps_paths=one.training_seed == first[one.label],
             measures=own_measures(),
         )
-        for scenario in scenarios.values()  # all agents play the same arms, see `play_episodes`
+        for scenario in scenarios.values()
         for one in found
         if not (one.is_reference and scenario.family)  # no perturbation touches it
     ]
@@ -299,7 +303,7 @@ def benchmark(
 
 def _joined(
     out: Path,
-    scenarios: Mapping[str, Scenario],
+    scenarios: Mapping[str, dict[str, Any]],
     found: Sequence[ResolvedAgent],
     episodes: int,
     seed: int,
@@ -310,8 +314,7 @@ def _joined(
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
     environments = dict(manifest.environments)
-    for name, scenario in scenarios.items():
-        asked = _settings(scenario)
+    for name, asked in scenarios.items():
         settings = environments.setdefault(name, asked)
         _require_same(out, f"environment {name}", settings, asked)
     agents = {name: list(policies) for name, policies in manifest.agents.items()}
@@ -339,8 +342,11 @@ def _joined(
     )
 
 
-def _settings(scenario: Scenario) -> dict[str, Any]:
-    """Return the settings of a scenario with those of its environment, see `Manifest`."""
+def _settings(scenario: Playable) -> dict[str, Any]:
+    """Return the settings of a scenario with those of its environment, see `Manifest`.
+
+    A strength that the arm cannot have is refused here, before anything is played.
+    """
     with closing(scenario.make()) as env:
         world: Any = env.unwrapped
         tolerance = getattr(world, "success_distance", math.nan)

@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
 from mmc_gym.agents.resolver import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
+from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.scenarios import (
-    TASK_SCENARIOS,
     EnvLike,
+    OwnEnvironment,
+    Playable,
     Scenario,
-    make_environment,
-    name_of,
-    own_scenario,
-    scenario,
+    find_scenario,
+    parse_scenario,
+    refuse_interface,
 )
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import ControlError, read_attribute
 from mmc_gym.measures.episode import Episode, Floats
-from mmc_gym.measures.rollout import Options, run_episodes
+from mmc_gym.measures.rollout import Options, check_environment, run_episodes
 
 _PERTURBED = """
 force-field-30 force-field-60 force-field-90
@@ -49,8 +48,7 @@ obstacles-1 obstacles-2 obstacles-4
 gravity-10 gravity-60 gravity-120
 """
 SCENARIOS: dict[str, Scenario] = {
-    **TASK_SCENARIOS,
-    **{name: scenario(name) for name in _PERTURBED.split()},
+    name: parse_scenario(name) for name in (*TASKS, *_PERTURBED.split())
 }
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 
@@ -59,86 +57,58 @@ SET_BY_SCENARIOS = ("task", "perturbations", "max_episode_steps")
 
 TOGETHER = 1_000  # episodes that are played at once, at most: bounds the memory
 
-Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
+Environments: TypeAlias = "Iterable[str | Playable] | Mapping[str, EnvLike]"
 """Names of scenarios and of your own environments; or a mapping of names to environments."""
 
 
 def find_scenarios(
     environments: Environments, env_kwargs: Mapping[str, Any] | None = None, interface: Any = None
-) -> dict[str, Scenario]:
-    """Return scenarios by name: the benchmark's if none are given.
+) -> dict[str, Playable]:
+    """Return what is to be played, by name: the benchmark's scenarios if none are given.
 
     Args:
-        environments: names, see `mmc_gym.envs.scenarios.scenario`; or a mapping of names to your
-            own environments, see `mmc_gym.envs.scenarios.make_environment`.
+        environments: names, see `mmc_gym.envs.scenarios.find_scenario`; or a mapping of names to
+            your own environments.
         env_kwargs: arguments of all of them.
         interface: of your own environments, see `InterfacedEnv`.
     """
+    found: list[Playable]
     if isinstance(environments, Mapping):
-        found = [own_scenario(env, name, interface) for name, env in environments.items()]
+        found = [OwnEnvironment(name, env) for name, env in environments.items()]
     else:
         names = [environments] if isinstance(environments, str) else environments
-        found = [scenario(name, interface) for name in names]
-    _forget_vectors()
-    chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
-    for one in chosen.values():
-        one.refuse(given, *SET_BY_SCENARIOS)
-    for one in found:  # a strength that this arm cannot have is refused at once
-        if one.env is None:
-            make_environment(one.name, **given).close()
-    _check_interface(interface, chosen.values())
-    changes = {"env_kwargs": given, "interface": interface}
-    return {name: replace(one, **changes) for name, one in chosen.items()}
+        found = [find_scenario(one) for one in names]
+    chosen = found or list(SCENARIOS.values())
+    refuse_interface(interface, *chosen)
+    return {one.name: _with_arguments(one, env_kwargs or {}, interface) for one in chosen}
 
 
-def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any = None) -> Scenario:
-    """Return the scenario of a name, or that of an environment, with more arguments.
-
-    `interface` is that of your own environment, see `InterfacedEnv`.
-    """
-    _forget_vectors()
-    found = Scenario(name_of(env), "", env=env)
-    if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
-        found = scenario(env)
-        make_environment(env, **env_kwargs).close()  # so that an error names the scenario
-    _check_interface(interface, [found])
-    given = {**found.env_kwargs, **env_kwargs}
-    return replace(found, env_kwargs=given, interface=interface)
+def _with_arguments(one: Playable, arguments: Mapping[str, Any], interface: Any) -> Playable:
+    """Return what is to be played with its arguments."""
+    if isinstance(one, OwnEnvironment):
+        return replace(one, interface=interface).with_arguments(**arguments).inspected()
+    one.refuse(arguments, *SET_BY_SCENARIOS)
+    return one.with_arguments(**arguments)
 
 
-def _check_interface(interface: Any, scenarios: Iterable[Scenario]) -> None:
-    """Refuse an interface for scenarios of this package, which have their own."""
-    shipped = [one.name for one in scenarios if one.env is None]
-    if interface is not None and shipped:
-        names = ", ".join(shipped[:3]) + ", …" * (len(shipped) > 3)
-        raise UserError(f"interface must be left out for scenarios of this package, got {names}")
-
-
-def make_player(
-    agent: ResolvedAgent, env: EnvLike | Scenario, env_kwargs: Mapping[str, Any] | None = None
-) -> tuple[gym.Env[Any, Any], Predictor]:
-    """Make an environment in an agent's control mode, and the agent for it.
+def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, Any], Predictor]:
+    """Make the environment in an agent's control mode, and the agent for it.
 
     Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known:
-    it acts by the environment's default.  A `control` among `env_kwargs` is for agents that act by
-    several control modes, or whose control mode is not known.
+    it acts by the environment's default.  A `control` among the arguments of what is played is for
+    agents that act by several control modes, or whose control mode is not known.
 
     Raises:
         CannotActError: if the agent cannot act in the environment.
     """
-    given = dict(env_kwargs or {})
-    wanted = given.pop("control", None)
-    asked = agent.own_control or wanted
-    if isinstance(env, Scenario):
-        make = replace(env, env_kwargs={**env.env_kwargs, **given}).make
-    else:
-        make = partial(make_environment, env, **given)
-    made = make(asked or agent.control)
+    asked = agent.own_control or played.arguments.get("control")
+    made = played.make(asked or agent.control)
+    check_environment(made)
     try:
         player = agent.factory(made)
     except ControlError as refusal:
         made.close()
-        made = make(refusal.control)
+        made = played.make(refusal.control)
         player = agent.factory(made)
     if not asked and isinstance(player, ModelAgent) and player.control is None:
         warnings.warn(
@@ -151,9 +121,37 @@ def make_player(
     return made, player
 
 
+class Arms:
+    """The vector environments of what is played, which agents reset and play in turn.
+
+    They are made when they are needed, and closed together.
+    """
+
+    def __init__(self, played: Playable) -> None:
+        """Own the vector environments of what is played."""
+        self._played = played
+        self._made: dict[tuple[int, str | None], MMCReachVectorEnv] = {}
+
+    def vector(self, count: int, control: str | None) -> MMCReachVectorEnv | None:
+        """Return the one of this package that equals the single environment, if there is one."""
+        key = count, control
+        if key not in self._made:
+            vector = self._played.make_vec(count, control)
+            if isinstance(vector, MMCReachVectorEnv):
+                self._made[key] = vector
+            elif vector is not None:
+                vector.close()
+        return self._made.get(key)
+
+    def close(self) -> None:
+        """Close them all."""
+        while self._made:
+            self._made.popitem()[1].close()
+
+
 def play_episodes(
     agent: ResolvedAgent,
-    scenario: Scenario,
+    arms: Arms,
     env: gym.Env[Any, Any],
     player: Predictor,
     seeds: Sequence[int],
@@ -162,20 +160,20 @@ def play_episodes(
     timed: int,
     on_episode: Callable[[Episode], None] | None = None,
 ) -> tuple[Episode, ...]:
-    """Let an agent play a scenario: all episodes together, or else one by one.
+    """Let an agent play: all episodes together, or else one by one.
 
-    An `Agent` plays them together, where there is a vector environment: its actions do not depend
-    on its neighbours.  Anything else with `predict` may take no batches.  `env` is the single
-    environment and `player` the agent in it, see `make_player`; `options` are those of its reset,
-    one per episode.  The first `timed` episodes are played one by one, too, to time single actions;
-    the action times of others are NaN if they are played together.
+    An `Agent` plays them together, where there is a vector environment among the `arms`: its
+    actions do not depend on its neighbours.  Anything else with `predict` may take no batches.
+    `env` is the single environment and `player` the agent in it, see `make_player`; `options` are
+    those of its reset, one per episode.  The first `timed` episodes are played one by one, too, to
+    time single actions; the action times of others are NaN if they are played together.
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
     vectors: list[Any] = []
     if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
         control = read_attribute(env, "control")
-        vectors = [_vector_environment(scenario, len(seeds[one]), control) for one in chunks]
+        vectors = [arms.vector(len(seeds[one]), control) for one in chunks]
     if not vectors or None in vectors:
         return run_episodes(player, env, seeds, on_episode, options)
     alone = run_episodes(player, env, seeds[:timed], options=options[:timed])
@@ -185,32 +183,6 @@ def play_episodes(
         together += run_episodes(anew, vector, seeds[some], on_episode, options[some])
     times = [replace(one, action_times=by.action_times) for one, by in zip(together, alone)]
     return (*times, *together[timed:])
-
-
-_VECTORS: dict[str, MMCReachVectorEnv] = {}
-"""Vector environments of the scenario that was played last: the next agent resets them."""
-
-
-def _vector_environment(
-    scenario: Scenario, count: int, control: str | None
-) -> MMCReachVectorEnv | None:
-    """Return the vector environment of this package that equals the single one, if there is one."""
-    settings = str(scenario.settings)
-    key = f"{settings} {count} {control}"
-    if key not in _VECTORS:
-        if not all(known.startswith(settings) for known in _VECTORS):
-            _forget_vectors()
-        vector = scenario.make_vec(count, control)
-        if isinstance(vector, MMCReachVectorEnv):
-            _VECTORS[key] = vector
-        elif vector is not None:
-            vector.close()
-    return _VECTORS.get(key)
-
-
-def _forget_vectors() -> None:
-    while _VECTORS:
-        _VECTORS.popitem()[1].close()
 
 
 # The ideal hand: a reference for all movements that follows minimum jerk, without an arm.

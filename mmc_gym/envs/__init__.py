@@ -6,14 +6,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.envs.perturbations import Family
-from mmc_gym.envs.scenarios import (
-    make,
-    make_vec,
-    register_all,
-    register_perturbation,
-    register_task,
-)
+from mmc_gym.envs.names import Family, register_all, register_perturbation, register_task
+from mmc_gym.envs.scenarios import make, make_vec
 
 # Pygame greets on standard output, which may be piped.
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")

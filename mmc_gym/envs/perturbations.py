@@ -5,7 +5,7 @@ Each is a frozen dataclass of physical parameters.  They can be combined.  Some 
 stands for the hand; noise and delay change observations, not rewards.  Lengths are in segment
 lengths.
 
-A `Family` gives them names, with any strength; `mmc_gym.envs.scenarios` reads the names.
+`mmc_gym.envs.names` gives them names, with any strength.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from mmc_gym._errors import (
     is_point,
     is_whole,
     nearest,
-    require,
     require_between,
     require_finite,
     require_number,
@@ -44,7 +43,7 @@ if TYPE_CHECKING:  # names are registered without loading the physics
 
 Floats = NDArray[np.float64]
 Place = tuple[Any, Any]  # (x, y): numbers, or arrays of one shape
-_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
+FOUR_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 
 class Perturbation:
@@ -162,7 +161,7 @@ class Obstacles(Perturbation):
     steps of rough commands, and 0.14 with full steps.
     """
 
-    discs: tuple[tuple[float, float, float], ...] = _DISCS[:2]  #: (x, y, radius) of each
+    discs: tuple[tuple[float, float, float], ...] = FOUR_DISCS[:2]  #: (x, y, radius) of each
     segment_radius: float = 0.05  #: half the thickness of the segments
 
     @override
@@ -369,116 +368,3 @@ def _index(name: str, index: int, count: int) -> int:
         accepted = f"an index from {-count} to {count - 1}"
         raise UserError(f"{name} must be {accepted}, got {shown(index)}{also}")
     return index % count
-
-
-@dataclass(frozen=True)
-class Family:
-    """Perturbations of one kind, which differ in strength."""
-
-    name: str  #: the first part of their names
-    unit: str  #: of the strength
-    description: str  #: of a scenario, in a line; `{}` stands for the strength
-    default: float  #: strength of a name without one
-    make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
-    known: bool = False  #: whether agents can be given the change (`-known`)
-    whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
-
-
-def _longer(percent: float) -> SegmentLength:
-    return SegmentLength(1 + percent / 100)
-
-
-def _shorter(percent: float) -> SegmentLength:
-    require(percent < 100, "the change of the segment's length", percent, "less than 100 %")
-    return SegmentLength(1 - percent / 100)
-
-
-def _delay(ms: float) -> SensoryDelay:
-    require(0 <= ms <= 1e6, "the delay", ms, "from 0 to 1000000 ms")
-    return SensoryDelay(ms / 1000)
-
-
-def _locked(number: float, time: float = 0.0) -> LockedJoint:
-    fine = number >= 1 and float(number).is_integer()
-    require(fine, "the joint that locks", number, "a whole number from 1 (at the base) on")
-    return LockedJoint(int(number) - 1, time)
-
-
-def _locks(number: float) -> LockedJoint:
-    return _locked(number, time=0.2)
-
-
-def _obstacles(strength: float) -> Obstacles:
-    fine = strength in range(1, len(_DISCS) + 1)
-    require(fine, "the number of obstacles", strength, f"a whole number from 1 to {len(_DISCS)}")
-    return Obstacles(_DISCS[: int(strength)])
-
-
-FAMILIES: dict[str, Family] = {
-    one.name: one
-    for one in (  # name, unit, description, default, make
-        Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
-        Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
-        Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
-        Family(
-            "cursor-jump",
-            "% of the way",
-            "cursor jumps across the way by {} % of it",
-            10.0,
-            CursorJump,
-        ),
-        Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
-        Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
-        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
-        Family(
-            "locked",
-            "joint",
-            "joint {} (from the base) locked from the start",
-            2.0,
-            _locked,
-            known=True,
-            whole=True,
-        ),
-        Family(
-            "locks",
-            "joint",
-            "joint {} (from the base) locked after 0.2 s",
-            2.0,
-            _locks,
-            known=True,
-            whole=True,
-        ),
-        Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
-        Family(
-            "joint-noise-speed",
-            "s",
-            "noise of joint angles, {} s of joint speed",
-            0.01,
-            lambda std: JointNoise(0.0, std),
-        ),
-        Family(
-            "vision-noise",
-            "lengths",
-            "noise of the seen hand and target, {} segment lengths",
-            0.03,
-            VisionNoise,
-        ),
-        Family(
-            "vision-noise-distance",
-            "of distance",
-            "noise of the seen hand and target, {} of their distance",
-            0.05,
-            lambda std: VisionNoise(0.0, std),
-        ),
-        Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
-        Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
-        Family(
-            "gravity",
-            "lengths/s²",
-            "arm hangs in a gravity of {} segment lengths/s²",
-            60.0,
-            Gravity,
-        ),
-    )
-}
-"""The families of perturbations by name."""

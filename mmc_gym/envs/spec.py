@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from inspect import signature
 from operator import attrgetter
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -32,8 +32,8 @@ from mmc_gym._errors import (
     require_rows,
 )
 from mmc_gym.body import ArmParameters, Engine
+from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import Cursor, LockedJoint, Noise, Perturbation, SensoryDelay
-from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
 from mmc_gym.envs.tasks import RandomTarget, Request, Task, Trial
 from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace
 from mmc_gym.interface import (
@@ -46,6 +46,7 @@ from mmc_gym.interface import (
 )
 
 RewardType = Literal["dense", "sparse"]
+AnyChange: TypeAlias = str | Perturbation | Change
 _MOST_TRIALS = 300
 _TRIED = 10  # trials of your own task, when the environment is made
 
@@ -73,7 +74,7 @@ class ReachSetup:
         smoothness_weight: float = 0.0,
         success_distance: float = 0.05,
         task: str | Task = "random",
-        perturbations: str | Perturbation | Sequence[str | Perturbation] = (),
+        perturbations: AnyChange | Sequence[AnyChange] = (),
         engine: Engine = "pymunk",
         **arm_parameters: Any,
     ) -> None:
@@ -95,13 +96,14 @@ class ReachSetup:
         self.smoothness_weight = float(smoothness_weight)
         self.success_distance = float(success_distance)
         self.engine: Engine = engine
-        self.task = find_task(task)
+        self.task = as_task(task)
         #: the name by which the task was given, or None
         self.task_name = task if isinstance(task, str) else None
         if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
             perturbations = (perturbations,)
-        self.perturbations = tuple(map(find_perturbation, perturbations))
-        names = [one if isinstance(one, str) else type(one).__name__ for one in perturbations]
+        changes = [as_change(one) for one in perturbations]
+        self.perturbations = tuple(one.perturbation for one in changes)
+        names = [one.name for one in changes]
         task_names = [] if task == "random" else [self.task_name or type(self.task).__name__]
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task_names, *names])
@@ -353,6 +355,8 @@ class ReachEnvironment:
         registered = gym.registry.get(spec.id) if spec else None
         if registered is not None:
             self._check_length(registered)
+        if spec is not None and "perturbations" in spec.kwargs:
+            spec.kwargs = {**spec.kwargs, "perturbations": _by_name(spec.kwargs["perturbations"])}
         self._spec = spec
 
     def _check_length(self, registered: EnvSpec) -> None:
@@ -365,6 +369,13 @@ class ReachEnvironment:
                 f"{registered.id} has, got {name!r} with {steps}: make {environment_id(name)!r}, "
                 "which accepts all other arguments"
             )
+
+
+def _by_name(perturbations: Any) -> Any:
+    """Return changes of registered families as their names, which a file can hold."""
+    if not isinstance(perturbations, list | tuple):
+        return perturbations
+    return [one.name if isinstance(one, Change) and one.family else one for one in perturbations]
 
 
 def check_names(arguments: Iterable[str], *own: str) -> None:

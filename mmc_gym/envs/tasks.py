@@ -11,7 +11,6 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -294,16 +293,6 @@ class Pursuit(Task):
         return np.asarray(waves.sum(axis=-1))
 
 
-def _paper_task() -> PointToPoint:
-    """Return the paper's 420 movements between 21 targets at three radii and seven angles."""
-    points = tuple(
-        (radius / 3 * math.cos(angle * math.pi / 6), radius / 3 * math.sin(angle * math.pi / 6))
-        for radius in (1, 2, 3)
-        for angle in range(7)
-    )
-    return PointToPoint(points, tuple(permutations(range(21), 2)))
-
-
 def outward(distances: Sequence[float], turns: Sequence[float]) -> tuple[Any, Any]:
     """Return points and pairs of movements from half a reach in front of the base, in all turns.
 
@@ -315,21 +304,3 @@ def outward(distances: Sequence[float], turns: Sequence[float]) -> tuple[Any, An
         for turn in turns
     ]
     return ((0.0, 0.5), *circles), tuple((0, end) for end in range(1, len(circles) + 1))
-
-
-_EIGHT = [k / 8 * math.tau for k in range(8)]
-TASKS: dict[str, Task] = {
-    "random": RandomTarget(),
-    "paper": _paper_task(),
-    "centre-out": PointToPoint(*outward([0.2], _EIGHT)),
-    "distances": PointToPoint(*outward([0.1, 0.2, 0.3, 0.4], _EIGHT)),
-    "double-step-100": DoubleStep(delay=0.1),
-    "double-step-200": DoubleStep(delay=0.2),
-    "pursuit": Pursuit(),
-    "via-points": ViaPoints(),
-}
-"""Tasks by name.
-
-`paper`: the paper's 420 movements between 21 targets.  `centre-out`: eight targets around a point
-in front of the arm, after Georgopoulos, Kalaska, Caminiti & Massey (1982), J. Neurosci. 2:1527.
-"""

@@ -27,8 +27,7 @@ from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
-from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import perturbation_scenario
+from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.tasks import CuedTarget, outward
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ Class = TypeVar("Class", bound=type)
 
 
 def _perturbation(name: str) -> str:
-    return perturbation_scenario(name).name
+    return parse_change(name).name
 
 
 TRIALS_MOST = 100_000
@@ -104,7 +103,8 @@ class Block:
         share = sum(1 / probe.every for probe in self.probes)
         require(share < 1, "probes", self.probes, "fewer than the trials")
         for name in self.perturbations if self.gradual else ():
-            whole = FAMILIES[perturbation_scenario(name).family].whole
+            family = parse_change(name).family
+            whole = family is not None and family.whole
             require(not whole, "perturbations", name, "one that can grow, in a gradual block")
 
     def perturbations_in(self, trial: int) -> tuple[str, ...]:
@@ -112,9 +112,10 @@ class Block:
         if not self.gradual:
             return self.perturbations
         grown = []
-        for one in map(perturbation_scenario, self.perturbations):
-            strength = round((one.strength or 0.0) * (trial + 1) / self.trials, 2)
-            grown.append(f"{one.family}-{strength:g}{'-known' * one.known}")
+        for one in map(parse_change, self.perturbations):
+            grown.append(
+                one.with_strength(round((one.strength or 0.0) * (trial + 1) / self.trials, 2)).name
+            )
         return tuple(grown)
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
@@ -203,7 +204,7 @@ class Experiment:
         for index, block in enumerate(self.blocks):
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
-                last = perturbation_scenario(changes[-1]).strength if changes else None
+                last = parse_change(changes[-1]).strength if changes else None
                 planned.append(
                     PlannedTrial(
                         trial=len(planned),
@@ -245,7 +246,7 @@ class Experiment:
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
         names = [name for one in self.schedule for name in one.perturbations]
-        units = dict.fromkeys(perturbation_scenario(name).unit for name in dict.fromkeys(names))
+        units = dict.fromkeys(parse_change(name).unit for name in dict.fromkeys(names))
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
 

@@ -43,6 +43,7 @@ from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
+from mmc_gym.envs.names import TaskEntry
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
@@ -170,9 +171,9 @@ class TrialsCell:
         limit = self.experiment.torque_limit
         given = {} if limit is None else {"torque_limit": limit}
         given |= self.env_kwargs
-        scenario = Scenario("centre-out", "", self.experiment.task())
+        scenario = Scenario(TaskEntry("centre-out", self.experiment.task()), arguments=given)
         player: Any
-        made, player = make_player(self.agent, scenario, given)
+        made, player = make_player(self.agent, scenario)
         with closing(made):
             given["control"] = read_attribute(made, "control")
         if self.has_parts(player):
@@ -352,7 +353,7 @@ def run_experiment(
     """
     experiment, given = find_experiment(experiment), dict(env_kwargs or {})
     subjects, seed = require_whole("subjects", subjects), require_whole("seed", seed, least=0)
-    Scenario(experiment.name, "").refuse(given, *SET_BY_SCENARIOS)
+    Scenario(TaskEntry(experiment.name, experiment.task())).refuse(given, *SET_BY_SCENARIOS)
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])

@@ -29,7 +29,7 @@ from mmc_gym.benchmark.store import (
     read_paths,
     require_all_cells,
 )
-from mmc_gym.envs.scenarios import BASELINE
+from mmc_gym.envs.names import BASELINE
 from mmc_gym.measures import Measure, leave_out_failures
 from mmc_gym.measures.catalogue import measures_of
 from mmc_gym.measures.episode import Floats

@@ -20,8 +20,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from mmc_gym.envs.names import as_change, parse_task
 from mmc_gym.envs.perturbations import ForceField, SegmentLength, VisuomotorRotation
-from mmc_gym.envs.scenarios import Scenario, find_perturbation
+from mmc_gym.envs.scenarios import Scenario
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import Make, percent, play
 
@@ -36,13 +37,14 @@ AGENTS: tuple[str | Make, ...] = (
 )
 
 
-def scenario(name: str, *perturbations: Any, task: str = "random", **arm: Any) -> Scenario:
-    """Return a scenario that is not in the benchmark."""
-    found = tuple(map(find_perturbation, perturbations))
-    return Scenario(name, name, task, found, env_kwargs=arm)
+def scenario(
+    name: str, *perturbations: Any, task: str = "random", **arm: Any
+) -> tuple[str, Scenario]:
+    """Return a scenario that is not in the benchmark, after the name of its row."""
+    return name, Scenario(parse_task(task), tuple(map(as_change, perturbations)), arm)
 
 
-def of_segments(count: int, *perturbations: str, task: str = "random") -> Scenario:
+def of_segments(count: int, *perturbations: str, task: str = "random") -> tuple[str, Scenario]:
     """Return a scenario of an arm with `count` segments of length 1."""
     name = " + ".join([f"{count} segments", *perturbations, *([task] if task != "random" else [])])
     return scenario(name, *perturbations, task=task, segment_lengths=(1.0,) * count)
@@ -112,9 +114,10 @@ def main(arguments: Arguments) -> None:
     table.add_column("scenario", no_wrap=True)
     for name in names:
         table.add_column(name, justify="right")
-    for one in track([one for one in SCENARIOS if arguments.only in one.name], transient=True):
+    rows = [row for row in SCENARIOS if arguments.only in row[0]]
+    for name, one in track(rows, transient=True):
         played = (play(agent, one, arguments.episodes, arguments.seed) for agent in AGENTS)
-        table.add_row(one.name, *(percent(episodes, interval=True) for episodes in played))
+        table.add_row(name, *(percent(episodes, interval=True) for episodes in played))
     Console(width=170).print(table)
 
 

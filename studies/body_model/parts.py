@@ -30,7 +30,7 @@ from mmc_gym.agents.body_model.arm import hand
 from mmc_gym.agents.body_model.imagination import SETTLE
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.suite import find_scenarios
-from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.envs.scenarios import Playable
 from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import Episode, run_episodes
@@ -91,11 +91,11 @@ class Arguments:
     seed: int = 30_000
     model: str = "mmc"
 
-    def played(self, agent: Make, scenario: Scenario) -> Played:
+    def played(self, agent: Make, scenario: Playable) -> Played:
         """Return the episodes of an agent."""
         return play(agent, scenario, self.episodes, self.seed)
 
-    def each(self, default: Sequence[str]) -> list[Scenario]:
+    def each(self, default: Sequence[str]) -> list[Playable]:
         """Return the scenarios of `--scenarios`, or the default ones if none are given."""
         return list(find_scenarios(self.scenarios or default).values())
 

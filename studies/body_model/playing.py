@@ -16,7 +16,7 @@ from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.resolver import resolve_all
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import make_player
-from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.envs.scenarios import Playable
 from mmc_gym.interface import CannotActError, ReachInterface
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 from mmc_gym.measures.reaching import success
@@ -34,7 +34,7 @@ def body_model(
     return lambda env: build(ReachInterface.of(env), parts, **how)
 
 
-def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Played:
+def play(agent: str | Make, scenario: Playable, episodes: int, seed: int) -> Played:
     """Return the episodes of an agent: those of the benchmark if the seed is 0.
 
     Every agent meets the same postures, targets and noise.  The list is empty if the agent cannot
@@ -47,7 +47,7 @@ def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Pla
         try:
             with warnings.catch_warnings():  # the arm may differ from the training's
                 warnings.simplefilter("ignore", MismatchWarning)
-                env, player = make_player(one, scenario, {"control": "joint_position"})
+                env, player = make_player(one, scenario.with_arguments(control="joint_position"))
         except CannotActError:
             continue
         with closing(env), closing(scenario.make_vec(len(seeds), env.unwrapped.control)) as arms:

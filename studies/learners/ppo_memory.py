@@ -160,7 +160,7 @@ class TruthfulScenarios(RandomScenarios):
             try:
                 return self.make_group(drawn, share)
             except UserError as error:
-                if len(drawn.perturbations) < 2 and drawn.task == "random":
+                if len(drawn.changes) < 2 and drawn.task.name == "random":
                     raise
                 # The task cannot be done under these perturbations: draw another.
                 warnings.warn(f"scenarios that do not go together: {error}", stacklevel=2)
@@ -171,13 +171,13 @@ class TruthfulScenarios(RandomScenarios):
         if self._random.random() >= self._twice:
             return first
         second = super().draw()
-        kinds = {type(one) for one in first.perturbations}
-        fits = kinds.isdisjoint(map(type, second.perturbations))
+        kinds = {type(one.perturbation) for one in first.changes}
+        fits = kinds.isdisjoint(type(one.perturbation) for one in second.changes)
         if second.task != "random" and first.task == "random":
             first, second = second, first
         if not fits or second.task != "random":
             return first
-        return replace(first, perturbations=first.perturbations + second.perturbations)
+        return replace(first, changes=first.changes + second.changes)
 
 
 class Memory(VecEnvWrapper):

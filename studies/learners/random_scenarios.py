@@ -25,8 +25,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from typing_extensions import override
 
 from mmc_gym import UserError
-from mmc_gym.envs.perturbations import FAMILIES, Obstacles, SensoryDelay
-from mmc_gym.envs.scenarios import Scenario, perturbed, scenario
+from mmc_gym.envs.names import BASELINE, FAMILIES, TASKS, parse_change
+from mmc_gym.envs.perturbations import Obstacles, SensoryDelay
+from mmc_gym.envs.scenarios import Scenario, parse_scenario
 from mmc_gym.training.hyperparameters import Recipe
 
 Float32 = NDArray[np.float32]
@@ -55,7 +56,7 @@ class RandomScenarios(VecEnvWrapper):
     ) -> None:
         """Wrap a vector of equal environments, a multiple of `groups`.
 
-        The `names` are of scenarios, see `mmc_gym.envs.scenarios.scenario`.  The `ranges` are
+        The `names` are of scenarios, see `mmc_gym.envs.scenarios.parse_scenario`.  The `ranges` are
         lowest and highest strength of families of perturbations by name, both included; where
         strengths are whole numbers, only those are drawn.
         """
@@ -63,7 +64,7 @@ class RandomScenarios(VecEnvWrapper):
         if not isinstance(groups, int) or groups < 1 or venv.num_envs % groups:
             accepted = f"a divisor of the {venv.num_envs} environments"
             raise UserError(f"groups must be {accepted}, got {groups}")
-        self._fixed = [scenario(name) for name in names]
+        self._fixed = [parse_scenario(name) for name in names]
         self._ranges = {name: _range(name, ends) for name, ends in (ranges or {}).items()}
         if not self._fixed and not self._ranges:
             raise UserError(f"names must be one at least, without ranges, got {names}")
@@ -72,9 +73,7 @@ class RandomScenarios(VecEnvWrapper):
         self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
         self._size = venv.num_envs // groups
         self._control_step = venv.get_attr("parameters")[0].control_step
-        ends = [
-            perturbed(FAMILIES[name], end) for name in self._ranges for end in self._ranges[name]
-        ]
+        ends = [_scenario(name, end) for name in self._ranges for end in self._ranges[name]]
         for one in (*self._fixed, *ends):
             self.make_group(one).close()  # refused here rather than in the training
         self._random = np.random.default_rng()
@@ -124,17 +123,19 @@ class RandomScenarios(VecEnvWrapper):
 
     def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
         """Make the arms of a group; their episode has `share` of the usual length."""
-        arguments = {**self._arguments, **drawn.arguments, "autoreset_mode": "Disabled"}
+        env_id, own = drawn.for_gymnasium()
+        arguments = {**self._arguments, **own, "autoreset_mode": "Disabled"}
+        perturbations = [one.perturbation for one in drawn.changes]
         arguments["perturbations"] = [
             one
-            for one in drawn.perturbations  # less than half a control step is no delay
+            for one in perturbations  # less than half a control step is no delay
             if not isinstance(one, SensoryDelay) or round(one.seconds / self._control_step)
         ]
-        if any(isinstance(one, Obstacles) for one in drawn.perturbations):
+        if any(isinstance(one, Obstacles) for one in perturbations):
             arguments["engine"] = "pymunk"
-        steps = gym.spec(drawn.env_id).max_episode_steps or 1
+        steps = drawn.task.task.episode_steps
         arguments["max_episode_steps"] = max(1, round(share * steps))
-        return gym.make_vec(drawn.env_id, self._size, copy=False, **arguments)
+        return gym.make_vec(env_id, self._size, copy=False, **arguments)
 
     def draw(self) -> Scenario:
         """Return a random scenario."""
@@ -142,10 +143,10 @@ class RandomScenarios(VecEnvWrapper):
         if index < len(self._fixed):
             return self._fixed[index]
         name = list(self._ranges)[index - len(self._fixed)]
-        family, (low, high) = FAMILIES[name], self._ranges[name]
-        if family.whole:
-            return perturbed(family, float(self._random.integers(int(low), int(high) + 1)))
-        return perturbed(family, float(self._random.uniform(low, high)))
+        low, high = self._ranges[name]
+        if FAMILIES[name].whole:
+            return _scenario(name, float(self._random.integers(int(low), int(high) + 1)))
+        return _scenario(name, float(self._random.uniform(low, high)))
 
     def _begin(self, group: int, share: float = 1.0) -> Float32:
         """Draw a scenario for a group, and return its first observations."""
@@ -162,11 +163,17 @@ def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
         accepted = "the lowest and the highest strength"
         raise UserError(f"ranges[{name!r}] must be {accepted}, got {ends}")
     low, high = float(ends[0]), float(ends[1])
-    for strength in (low, high):
-        scenario(f"{name}-{np.format_float_positional(strength, trim='-')}")
-    if not FAMILIES[name].whole:  # any strength in between can be drawn
-        perturbed(FAMILIES[name], low + (high - low) / math.e)
+    family = parse_change(name).family
+    assert family is not None
+    between = [] if family.whole else [low + (high - low) / math.e]  # any of them can be drawn
+    for strength in (low, high, *between):
+        family.with_strength(strength)
     return low, high
+
+
+def _scenario(family: str, strength: float) -> Scenario:
+    """Return the scenario of a perturbation of this strength."""
+    return Scenario(TASKS[BASELINE], (FAMILIES[family].with_strength(strength),))
 
 
 Recipe.classes[f"{__name__}.{RandomScenarios.__name__}"] = RandomScenarios

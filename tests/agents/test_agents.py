@@ -19,7 +19,7 @@ from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
 from mmc_gym.agents.policy import shipped_file
-from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.envs.names import FAMILIES
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.measures import run_episodes
 from mmc_gym.network import MMCNetwork

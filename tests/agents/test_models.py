@@ -20,6 +20,7 @@ from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import kept_cells
 from mmc_gym.benchmark.suite import make_player
+from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.interface import CannotActError, ControlError
 
 CONTROL = "joint_velocity"
@@ -256,7 +257,7 @@ def test_a_control_mode_that_is_asked_for_is_that_of_agents_that_act_by_several(
         ("mmc", "joint_velocity", "joint_velocity"),
         ("ppo", "joint_torque", "joint_delta"),  # it acts by one only
     ):
-        env, _ = make_player(resolve(name), "MMCReach-v0", {"control": asked})
+        env, _ = make_player(resolve(name), parse_scenario("random", control=asked))
         assert env.unwrapped.control == control
     with pytest.raises(CannotActError, match="control must be 'joint_position'"):
-        make_player(resolve("mmc"), "MMCReach-v0", {"control": "joint_torque"})
+        make_player(resolve("mmc"), parse_scenario("random", control="joint_torque"))

@@ -4,6 +4,7 @@ import importlib
 import platform
 import shutil
 import sys
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -27,7 +28,7 @@ from mmc_gym.benchmark.store import (
     write_cell,
 )
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario
+from mmc_gym.envs.names import TASKS
 from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
@@ -175,7 +176,7 @@ def test_other_settings_and_wrong_arguments_are_refused(store, tmp_path, monkeyp
     with pytest.raises(UserError, match="episodes must be a whole number"):
         play(["mmc"], tmp_path / "new", episodes=0)
     assert not (tmp_path / "new").exists()
-    monkeypatch.setitem(TASK_SCENARIOS, "random", Scenario("random", "other", "paper"))
+    monkeypatch.setitem(TASKS, "random", replace(TASKS["random"], description="other"))
     with pytest.raises(UserError, match="environment random is"):
         play(["mmc"], store, ["random"])
 

@@ -16,8 +16,9 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.cli import main
 from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.perturbations import FAMILIES, Perturbation
-from mmc_gym.envs.scenarios import scenario
+from mmc_gym.envs.names import FAMILIES
+from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.envs.tasks import RandomTarget, Trial
 from mmc_gym.report import write_report
 
@@ -70,7 +71,7 @@ def test_an_own_task_has_a_name_an_id_and_a_scenario(tmp_path):
     assert compare(["mmc"], "MMCReachHere-v0", 1).recorded["mmc"][0].rewards.shape == (4,)
     benchmark(["mmc"], tmp_path, ["here"], 2, jobs=1)
     assert read_episodes(tmp_path)["final_distance"].max() < 1e-3
-    assert scenario("here").make_vec(1).max_episode_steps == 4
+    assert parse_scenario("here").make_vec(1).max_episode_steps == 4
     assert read_manifest(tmp_path).environments["here"]["kwargs"]["task"]["name"] == "Here"
     register_task("here", Here())  # a cell of a notebook that is run again
 
@@ -80,7 +81,7 @@ def test_an_own_perturbation_takes_any_strength():
     heavy = gym.make("MMCReach-v0", perturbations=["heavy-7"]).unwrapped.setup
     assert (heavy.body.hand_mass, heavy.given_body.hand_mass) == (7.0, 0.0)
     assert mmc_gym.make("pursuit+heavy").unwrapped.setup.body.hand_mass == 2.0
-    assert scenario("heavy-0.5").description == "0.5 masses at the hand"
+    assert parse_scenario("heavy-0.5").description == "0.5 masses at the hand"
 
 
 @pytest.mark.parametrize("name", ["random", "delay", "Two words", "", "heavy-known-"])
@@ -199,7 +200,7 @@ def test_what_a_function_of_observations_raises_is_said(function, message):
 def test_workers_import_what_the_user_had_imported(tmp_path):
     (tmp_path / "arms.py").write_text("import gymnasium as gym\nimport mmc_gym\n" + MY_ARM)
     command = [sys.executable, "-m", "mmc_gym.cli", "benchmark", "--agents", "ik-dls", "random"]
-    command += ["--environments", "MyArm-v0", "--import", "arms", "--jobs", "2"]
+    command += ["--scenarios", "MyArm-v0", "--import", "arms", "--jobs", "2"]
     command += ["--episodes", "2", "--out", "store"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -17,9 +17,10 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios, played_scenario
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
+from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
 from mmc_gym.envs.perturbations import (
-    FAMILIES,
     ForceField,
     Gravity,
     JointNoise,
@@ -31,8 +32,7 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.scenarios import TASK_SCENARIOS, environment_id, make_environment, scenario
-from mmc_gym.envs.tasks import TASKS
+from mmc_gym.envs.scenarios import parse_environment, parse_scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS
 
@@ -72,11 +72,14 @@ DISC = (1.5, 1.0, 0.25)
     ],
 )
 def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturbation):
-    one = scenario(name)
+    one = parse_scenario(name)
     assert one.name == full_name
-    assert one == scenario(full_name)
-    assert one.perturbations == (perturbation,)
-    assert MMCReachEnv(perturbations=[name]).setup.perturbations == one.perturbations
+    assert one == parse_scenario(full_name)
+    (change,) = one.changes
+    assert change.perturbation == perturbation
+    assert change.with_strength(change.strength) == change
+    for perturbations in ([name], [change], [perturbation]):
+        assert MMCReachEnv(perturbations=perturbations).setup.perturbations == (perturbation,)
 
 
 def test_a_wrong_name_is_refused_with_a_hint():
@@ -85,7 +88,7 @@ def test_a_wrong_name_is_refused_with_a_hint():
         ("delay-40-known", "'-known' may follow longer, shorter, locked, locks only.*'delay'"),
         ("centre-out+rotatoin-30-known", "'rotatoin-30-known'.*did you mean 'rotation-30-known'"),
         ("centreout+rotation-30", "'centreout' is not accepted; did you mean 'centre-out'"),
-        ("rotation-30+centre-out", "'centre-out' is a task, which stands first"),
+        ("rotation-30+centre-out", "'centre-out' is a task, which comes first"),
         ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
         ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
         ("delay--40", "delay--40 has no such strength: the delay must be from 0 to 1000000 ms"),
@@ -95,13 +98,13 @@ def test_a_wrong_name_is_refused_with_a_hint():
         (None, "scenario None is not accepted. It may be"),
     ):
         with pytest.raises(UserError, match=hint):
-            scenario(name)
+            parse_scenario(name)
 
 
 def test_an_environment_is_no_name_of_one():
     for env in (gym.make("MMCReach-v0"), None):
         with pytest.raises(UserError, match="env must be an id, the name of a scenario, or a func"):
-            make_environment(env)
+            parse_environment(env).make()
 
 
 @pytest.mark.parametrize(
@@ -112,9 +115,9 @@ def test_an_environment_is_no_name_of_one():
         ("pursuit+obstacles-2+rotation-30+rotation-3", "rotation-3", "at most one rotation"),
     ],
 )
-def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint):
-    find, play = lambda name: find_scenarios([name]), lambda name: played_scenario(name, {})
-    for make in (mmc_gym.make, mmc_gym.make_vec, find, play):
+def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint, tmp_path):
+    play = partial(benchmark, ["random"], tmp_path / "out", episodes=1, jobs=1)
+    for make in (mmc_gym.make, mmc_gym.make_vec, lambda name: play(environments=[name])):
         with pytest.raises(UserError, match=hint):
             make(name)
         make(mended)
@@ -132,14 +135,18 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint):
     ],
 )
 def test_a_task_and_perturbations_together_have_one_name(name, full_name, task, family, strength):
-    one = scenario(name)
-    assert (one.name, one.task, one.family, one.strength) == (full_name, task, family, strength)
-    assert one == scenario(full_name)
-    assert one.description == "; ".join(scenario(part).description for part in one.name.split("+"))
+    one = parse_scenario(name)
+    assert (one.name, one.family, one.strength) == (full_name, family, strength)
+    assert one.task is TASKS[task]
+    assert one == parse_scenario(full_name)
+    assert one.description == "; ".join(
+        parse_scenario(part).description for part in one.name.split("+")
+    )
     assert one.settings["baseline"] == (task if family else None)
     setup, vector = one.make().unwrapped.setup, one.make_vec(2).setup
-    assert setup.task is TASKS[task]
-    assert setup.perturbations == vector.perturbations == one.perturbations
+    assert setup.task is TASKS[task].task
+    perturbations = tuple(change.perturbation for change in one.changes)
+    assert setup.perturbations == vector.perturbations == perturbations
 
 
 def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
@@ -167,20 +174,19 @@ def test_what_a_name_sets_is_no_argument():
             for make in (mmc_gym.make, mmc_gym.make_vec):
                 with pytest.raises(UserError, match=message):
                     make("delay-400", **{name: value})
-    assert find_scenarios(["delay-400"], {"substeps": 2})["delay-400"].env_kwargs == {"substeps": 2}
+    assert find_scenarios(["delay-400"], {"substeps": 2})["delay-400"].arguments == {"substeps": 2}
 
 
 def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar():
     assert {*IDS} == {"MMCReachGoal-v0", *map(environment_id, TASKS)}  # perturbations have none
-    assert list(TASK_SCENARIOS) == list(TASKS)
-    assert all(scenario(name) == one for name, one in SCENARIOS.items())
+    assert all(parse_scenario(name) == one for name, one in SCENARIOS.items())
     assert find_scenarios([]) == SCENARIOS
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
 
 
 @pytest.mark.parametrize("name", TASKS)
 def test_the_id_of_a_task_makes_it_and_has_its_time(name):
-    env, task = gym.make(environment_id(name)), TASKS[name]
+    env, task = gym.make(environment_id(name)), TASKS[name].task
     assert env.unwrapped.setup.task is task
     assert env.unwrapped.setup.perturbations == ()
     assert gym.spec(environment_id(name)).max_episode_steps == task.episode_steps
@@ -199,7 +205,7 @@ def test_a_task_of_another_length_than_the_ids_is_refused_by_name(make):
         with pytest.raises(UserError, match=f"got '{name}'.*make '{environment_id(name)}'"):
             make(env_id, task=name)
     make("MMCReach-v0", task="centre-out", perturbations=["locked"]).close()
-    make("MMCReach-v0", task=TASKS["pursuit"], max_episode_steps=500).close()
+    make("MMCReach-v0", task=TASKS["pursuit"].task, max_episode_steps=500).close()
     make("MMCReachPursuit-v0", perturbations=["delay-150"], max_episode_steps=7).close()
     assert gym.make_vec("MMCReach-v0", task="pursuit", max_episode_steps=7).max_episode_steps == 7
 

@@ -13,7 +13,8 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs import render as drawing
-from mmc_gym.envs.perturbations import FAMILIES, VisuomotorRotation
+from mmc_gym.envs.names import FAMILIES
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import Renderer, Scene, View, Window
 from mmc_gym.envs.spec import Options, ReachSetup

@@ -14,10 +14,10 @@ from scipy import stats
 from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import (
-    TASKS,
     DoubleStep,
     PointToPoint,
     Pursuit,
@@ -139,7 +139,7 @@ def test_the_target_jumps_once_and_at_its_time(arguments, step):
 
 
 def test_a_pursued_target_has_the_stated_frequencies_and_no_others():
-    task = TASKS["pursuit"]
+    task = TASKS["pursuit"].task
     assert isinstance(task, Pursuit)
     path = targets_of(MMCReachEnv(task="pursuit"), 499, seed=0)
     np.testing.assert_allclose(path.mean(axis=0), (0.0, 1.5), atol=1e-9)
@@ -153,7 +153,7 @@ def test_a_pursued_target_has_the_stated_frequencies_and_no_others():
 
 def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time():
     env = MMCReachEnv(task="pursuit")
-    assert env.setup.path_length == TASKS["pursuit"].episode_steps == 500
+    assert env.setup.path_length == TASKS["pursuit"].task.episode_steps == 500
     path, other = (targets_of(env, 1000, seed=seed) for seed in range(2))
     np.testing.assert_array_equal(path[:500], path[500:1000])
     assert np.linalg.norm(path, axis=-1).max() < 3.0

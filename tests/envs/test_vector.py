@@ -14,8 +14,8 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 
 from mmc_gym._errors import UserError
+from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.perturbations import VisuomotorRotation
-from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 
 same = partial(data_equivalence, exact=True)
@@ -32,8 +32,12 @@ VARIANTS = {
     "sparse": {"reward_type": "sparse", "success_distance": 0.5},
     "joint limits, gravity": {"joint_limits": LIMITS, "gravity": (0.0, -9.81)},
     "one segment": {"segment_lengths": (1.5,)},
-    "pursuit": {"task": TASKS["pursuit"]},
-    "via points": {"task": TASKS["via-points"], "success_distance": 1.0, "reward_type": "sparse"},
+    "pursuit": {"task": TASKS["pursuit"].task},
+    "via points": {
+        "task": TASKS["via-points"].task,
+        "success_distance": 1.0,
+        "reward_type": "sparse",
+    },
     "force field": {"perturbations": "force-field"},
     "rotation": {"perturbations": ("rotation-30",)},
     "clamp": {"task": "double-step-100", "perturbations": ("clamp-15",)},

@@ -54,8 +54,8 @@ def test_every_scenario_is_met_and_the_seed_draws_them():
     env = scenarios(**MANY)
     env.seed(0)
     found = [env.draw() for _ in range(200)]
-    assert {one.task for one in found} == {"random", "pursuit", "via-points"}
-    kinds = {type(change).__name__ for one in found for change in one.perturbations}
+    assert {one.task.name for one in found} == {"random", "pursuit", "via-points"}
+    kinds = {type(change.perturbation).__name__ for one in found for change in one.changes}
     assert kinds == {
         *("LockedJoint", "Obstacles", "VisuomotorRotation", "SensoryDelay", "SegmentLength")
     }

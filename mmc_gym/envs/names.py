@@ -1,0 +1,458 @@
+"""Names of tasks and perturbations: the registries, and the only parser.
+
+One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
+
+    [<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]
+
+    random, centre-out, rotation-30, centre-out+rotation-30, longer-35-known+delay-160
+
+Any strength is accepted; a name without one has the family's default (`force-field` is
+`force-field-60`).  With `-known`, agents are given the changed body.  Without a task it is
+"random": an agent's episodes differ from those of `random` in the perturbations alone, because the
+same seeds draw the same starts and targets.
+
+A name is parsed once, where a user or a file gives it; from there on values travel, a `TaskEntry`
+and `Change`s.  Names are looked up, and nothing is imported for them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym.envs.perturbations import (
+    FOUR_DISCS,
+    CursorJump,
+    ErrorClamp,
+    ForceField,
+    Gravity,
+    HandMass,
+    JointNoise,
+    LockedJoint,
+    Obstacles,
+    Perturbation,
+    SegmentLength,
+    SensoryDelay,
+    VisionNoise,
+    VisuomotorRotation,
+)
+from mmc_gym.envs.tasks import (
+    DoubleStep,
+    PointToPoint,
+    Pursuit,
+    RandomTarget,
+    Task,
+    ViaPoints,
+    outward,
+)
+
+BASELINE = "random"
+"""The task without perturbation: strength 0 of every family."""
+
+
+@dataclass(frozen=True)
+class TaskEntry:
+    """A task with its name."""
+
+    name: str  #: words with hyphens
+    task: Task
+    description: str = ""  #: in a line
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether every process knows it by its name: it is one of this package."""
+        return _SHIPPED_TASKS.get(self.name) == self
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether this process knows it by its name, yours included."""
+        return TASKS.get(self.name) == self
+
+
+@dataclass(frozen=True)
+class Family:
+    """Perturbations of one kind, which differ in strength."""
+
+    name: str  #: the first part of their names
+    unit: str  #: of the strength
+    description: str  #: of a scenario, in a line; `{}` stands for the strength
+    default: float  #: strength of a name without one
+    make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
+    known: bool = False  #: whether agents can be given the change (`-known`)
+    whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
+
+    def with_strength(self, strength: float, known: bool = False) -> Change:
+        """Return the perturbation of this strength, of which agents know if it is `known`.
+
+        Raises:
+            UserError: if there is no such strength, or if agents can never be given the change.
+        """
+        if known and not self.known:
+            accepted = ", ".join(one.name for one in FAMILIES.values() if one.known)
+            raise UserError(f"'-known' may follow {accepted} only, got it after {self.name!r}")
+        try:
+            perturbation = self.make(strength)
+        except (UserError, TypeError) as error:
+            name = f"{self.name}-{_digits(strength)}"
+            raise UserError(f"{name} has no such strength: {error}") from error
+        accepted, name = "a Perturbation of the strength", f"what {self.name!r} makes"
+        require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
+        perturbation.check_hooks()
+        if self.known:
+            perturbation = replace(perturbation, known=known)  # type: ignore[type-var]
+        return Change(perturbation, self, strength)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A perturbation with its strength and its family, or one of your own without a family."""
+
+    perturbation: Perturbation
+    family: Family | None = None
+    strength: float | None = None  #: comparable within the family
+
+    @property
+    def name(self) -> str:
+        """Its name for people and files: "longer-35-known"; without a family, its class's."""
+        if self.family is None or self.strength is None:
+            return type(self.perturbation).__name__
+        return f"{self.family.name}-{_digits(self.strength)}{self.suffix}"
+
+    @property
+    def suffix(self) -> str:
+        """The last part of the name: "-known", if agents are given the change and might not be."""
+        return "-known" if self.family and self.family.known and self.known else ""
+
+    @property
+    def known(self) -> bool:
+        """Whether agents are given the changed body."""
+        return self.perturbation.known
+
+    @property
+    def unit(self) -> str:
+        """The unit of its strength."""
+        return self.family.unit if self.family else ""
+
+    @property
+    def description(self) -> str:
+        """What changes, in a line."""
+        if self.family is None or self.strength is None:
+            return self.name
+        text = self.family.description.format(_digits(self.strength))
+        if self.family.known:
+            text += ", given to agents" if self.known else ", not given to agents"
+        return text
+
+    def with_strength(self, strength: float) -> Change:
+        """Return the same perturbation with another strength.
+
+        Raises:
+            UserError: if there is no such strength, or without a family.
+        """
+        if self.family is None:
+            raise UserError(f"the perturbation {self.name} has no family, and so no strength")
+        return self.family.with_strength(strength, bool(self.suffix))
+
+
+def _digits(strength: float) -> str:
+    """Return a strength as the grammar reads it: exact, and without an exponent."""
+    return np.format_float_positional(strength, trim="-")
+
+
+# Parsing
+
+_CHANGE = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<known>-known)?")
+
+
+def parse_parts(name: object) -> tuple[TaskEntry, tuple[Change, ...]]:
+    """Return the task and the perturbations of a scenario's name, or of a task's id."""
+    if not isinstance(name, str):
+        raise _unknown(name, "scenario")
+    first, *others = task_ids().get(name, name).split("+")
+    if first not in TASKS:
+        first, others = BASELINE, [first, *others]
+    return TASKS[first], tuple(parse_change(one, "scenario") for one in others)
+
+
+def parse_change(name: object, argument: str = "perturbations") -> Change:
+    """Return the perturbation of a name; an error names the argument.
+
+    >>> parse_change("longer-35-known").description
+    'last segment 35 % longer, given to agents'
+    >>> parse_change("rotation-30").with_strength(0.125).name
+    'rotation-0.125'
+    """
+    match = _CHANGE.fullmatch(name) if isinstance(name, str) else None
+    if match is None or match["family"] not in FAMILIES:
+        raise _unknown(name, argument)
+    family = FAMILIES[match["family"]]
+    strength = family.default if match["strength"] is None else float(match["strength"])
+    return family.with_strength(strength, known=match["known"] is not None)
+
+
+def parse_task(name: object) -> TaskEntry:
+    """Return the task of a name."""
+    if not isinstance(name, str) or name not in TASKS:
+        raise unknown("task", name, TASKS, "a Task")
+    return TASKS[name]
+
+
+def as_change(value: object) -> Change:
+    """Return a perturbation given by name or as an object."""
+    if isinstance(value, Perturbation):
+        value.check_hooks()
+        return Change(value)
+    return value if isinstance(value, Change) else parse_change(value)
+
+
+def as_task(value: object) -> Task:
+    """Return a task given by name or as an object."""
+    if isinstance(value, Task):
+        value.check_hooks()
+        return value
+    return parse_task(value).task
+
+
+def _unknown(name: object, argument: str) -> UserError:
+    """Return the error that a name is unknown, with what may have been meant."""
+    text = name if isinstance(name, str) else ""
+    if text in TASKS:
+        return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
+    known = [*TASKS, *FAMILIES] if argument == "scenario" else [*FAMILIES]
+    if argument == "scenario":
+        also = "several (centre-out+rotation-30)"
+    elif "+" in text:
+        also = f"a list such as {text.split('+')}"
+    else:
+        also = "a Perturbation"
+    guess = _guess(text, known)
+    return unknown(argument, name, known, "one with a strength (delay-160)", also, guess=guess)
+
+
+def _guess(name: str, known: list[str]) -> str:
+    """Return the nearest name that is accepted, with the strength that was given; "" without."""
+    word, *rest = re.split("(-(?:-?[0-9].*|known))$", name)
+    guess = nearest(word, known)
+    meant = guess + "".join(rest)
+    return meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
+
+
+# Families
+
+
+def _longer(percent: float) -> SegmentLength:
+    return SegmentLength(1 + percent / 100)
+
+
+def _shorter(percent: float) -> SegmentLength:
+    require(percent < 100, "the change of the segment's length", percent, "less than 100 %")
+    return SegmentLength(1 - percent / 100)
+
+
+def _delay(ms: float) -> SensoryDelay:
+    require(0 <= ms <= 1e6, "the delay", ms, "from 0 to 1000000 ms")
+    return SensoryDelay(ms / 1000)
+
+
+def _locked(number: float, time: float = 0.0) -> LockedJoint:
+    fine = number >= 1 and float(number).is_integer()
+    require(fine, "the joint that locks", number, "a whole number from 1 (at the base) on")
+    return LockedJoint(int(number) - 1, time)
+
+
+def _locks(number: float) -> LockedJoint:
+    return _locked(number, time=0.2)
+
+
+def _joint_noise_with_speed(std: float) -> JointNoise:
+    return JointNoise(0.0, std)
+
+
+def _vision_noise_with_distance(std: float) -> VisionNoise:
+    return VisionNoise(0.0, std)
+
+
+def _obstacles(count: float) -> Obstacles:
+    fine = count in range(1, len(FOUR_DISCS) + 1)
+    accepted = f"a whole number from 1 to {len(FOUR_DISCS)}"
+    require(fine, "the number of obstacles", count, accepted)
+    return Obstacles(FOUR_DISCS[: int(count)])
+
+
+FAMILIES: dict[str, Family] = {
+    one.name: one
+    for one in (  # name, unit, description, default, make
+        Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
+        Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
+        Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
+        Family(
+            "cursor-jump",
+            "% of the way",
+            "cursor jumps across the way by {} % of it",
+            10.0,
+            CursorJump,
+        ),
+        Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
+        Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
+        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
+        Family(
+            "locked",
+            "joint",
+            "joint {} (from the base) locked from the start",
+            2.0,
+            _locked,
+            known=True,
+            whole=True,
+        ),
+        Family(
+            "locks",
+            "joint",
+            "joint {} (from the base) locked after 0.2 s",
+            2.0,
+            _locks,
+            known=True,
+            whole=True,
+        ),
+        Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
+        Family(
+            "joint-noise-speed",
+            "s",
+            "noise of joint angles, {} s of joint speed",
+            0.01,
+            _joint_noise_with_speed,
+        ),
+        Family(
+            "vision-noise",
+            "lengths",
+            "noise of the seen hand and target, {} segment lengths",
+            0.03,
+            VisionNoise,
+        ),
+        Family(
+            "vision-noise-distance",
+            "of distance",
+            "noise of the seen hand and target, {} of their distance",
+            0.05,
+            _vision_noise_with_distance,
+        ),
+        Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
+        Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
+        Family(
+            "gravity",
+            "lengths/s²",
+            "arm hangs in a gravity of {} segment lengths/s²",
+            60.0,
+            Gravity,
+        ),
+    )
+}
+"""The families of perturbations by name."""
+
+
+# Tasks
+
+
+def _paper_task() -> PointToPoint:
+    """Return the paper's 420 movements between 21 targets at three radii and seven angles."""
+    points = tuple(
+        (radius / 3 * math.cos(angle * math.pi / 6), radius / 3 * math.sin(angle * math.pi / 6))
+        for radius in (1, 2, 3)
+        for angle in range(7)
+    )
+    return PointToPoint(points, tuple(permutations(range(21), 2)))
+
+
+_EIGHT = [k / 8 * math.tau for k in range(8)]
+_CENTRE_OUT = PointToPoint(*outward([0.2], _EIGHT))
+_DISTANCES = PointToPoint(*outward([0.1, 0.2, 0.3, 0.4], _EIGHT))
+
+TASKS: dict[str, TaskEntry] = {
+    one.name: one
+    for one in (
+        TaskEntry("random", RandomTarget(), "random starts and targets"),
+        TaskEntry("paper", _paper_task(), "the paper's 420 movements between 21 targets"),
+        # After Georgopoulos, Kalaska, Caminiti & Massey (1982), J. Neurosci. 2:1527.
+        TaskEntry("centre-out", _CENTRE_OUT, "eight targets around a point"),
+        TaskEntry("distances", _DISTANCES, "eight directions at each of four distances"),
+        TaskEntry("double-step-100", DoubleStep(delay=0.1), "target jumps after 0.1 s"),
+        TaskEntry("double-step-200", DoubleStep(delay=0.2), "target jumps after 0.2 s"),
+        TaskEntry("pursuit", Pursuit(), "target moves along sums of sines"),
+        TaskEntry("via-points", ViaPoints(), "three targets, one after the other"),
+    )
+}
+"""The tasks by name."""
+
+
+# Registration.  Yours may be registered again, as in a notebook; ours may not.
+
+_SHIPPED_TASKS = dict(TASKS)
+_SHIPPED = frozenset((*TASKS, *FAMILIES))
+
+
+def environment_id(task: str = BASELINE) -> str:
+    """Return the id of a task: `MMCReachCentreOut-v0` of `centre-out`."""
+    words = "" if task == BASELINE else "".join(word.capitalize() for word in task.split("-"))
+    return f"MMCReach{words}-v0"
+
+
+def task_ids() -> dict[str, str]:
+    """Return the names of the tasks by id."""
+    return {environment_id(name): name for name in TASKS}
+
+
+def register_all() -> None:
+    """Register every environment with Gymnasium."""
+    _register("MMCReachGoal-v0", TASKS[BASELINE], kind="MMCReachGoal")
+    for entry in TASKS.values():
+        _register(environment_id(entry.name), entry)
+
+
+def _register(env_id: str, entry: TaskEntry, kind: str = "MMCReach") -> None:
+    gym.registry.pop(env_id, None)  # of a module that is read again
+    # Names, not objects, so that Gymnasium's specs can be written to files.
+    arguments: dict[str, Any] = {} if entry.name == BASELINE else {"task": entry.name}
+    gym.register(
+        id=env_id,
+        entry_point=f"mmc_gym.envs.reach:{kind}Env",
+        vector_entry_point=f"mmc_gym.envs.vector:{kind}VectorEnv",
+        max_episode_steps=entry.task.episode_steps,
+        kwargs=arguments,
+    )
+
+
+def register_task(name: str, task: Task, description: str = "") -> None:
+    """Name your own task, for its id, arguments, the benchmark, the report and file names.
+
+    Args:
+        name: words with hyphens that nothing else is called by, such as "near-targets", whose id is
+            `MMCReachNearTargets-v0`.
+        task: an object of your class.
+        description: a line for the report.
+    """
+    fine = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
+    fine = fine and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
+    require(fine, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
+    require(isinstance(task, Task), "task", task, "an object of a class derived from Task")
+    TASKS[name] = entry = TaskEntry(name, task, description or name.replace("-", " "))
+    _register(environment_id(name), entry)
+
+
+def register_perturbation(family: Family) -> None:
+    """Name your own perturbations, for scenarios, arguments, the benchmark and the report.
+
+    The family's name is words with hyphens that no task and no family of this package is called by.
+    """
+    require(isinstance(family, Family), "family", family, "a Family")
+    fine = family.name not in {*TASKS, *_SHIPPED}
+    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
+    require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
+    family.with_strength(family.default)  # raises an error if the family is not consistent
+    FAMILIES[family.name] = family
