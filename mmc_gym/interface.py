@@ -6,11 +6,11 @@ Only this module knows which number stands where in an observation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, wraps
+from functools import cached_property
 from math import cos, sin, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -329,21 +329,6 @@ class ReachInterface:
     has_drive: bool = False
     arm: Any = None  #: of an arm in space, its joints; None in the plane
 
-    is_own: ClassVar[bool] = True  #: whether observations are those of `ObservationLayout`
-
-    def __init_subclass__(cls) -> None:
-        """Let `sense` of a subclass return what its `see` returns; check what its methods return.
-
-        So that no value that is not finite gets into an agent or a measure, and float32 is fine.
-        """
-        if "see" in vars(cls):
-            cls.is_own = False
-            cls.see = _checked_see(cls.see)  # type: ignore[assignment, method-assign]
-            if "sense" not in vars(cls):
-                cls.sense = cls.see  # type: ignore[method-assign]
-        if "act" in vars(cls):
-            cls.act = _checked_act(cls.act)  # type: ignore[method-assign]
-
     def __post_init__(self) -> None:
         def positive(numbers: Numbers) -> bool:
             return bool(numbers) and all(0 < number < math.inf for number in numbers)
@@ -358,7 +343,7 @@ class ReachInterface:
             require_positive(name, getattr(self, name))
         if self.success_distance is not None:
             require_positive("success_distance", self.success_distance)
-        count = getattr(self.arm, "joint_count", len(lengths))
+        count = self._joint_count
         if self.joint_limits is not None:
             accepted = f"{count} pairs of finite angles, the lower one first"
             require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
@@ -383,6 +368,11 @@ class ReachInterface:
         names = (one.name for one in fields(cls) if hasattr(body, one.name))
         return cls(control=control, **{name: getattr(body, name) for name in names})
 
+    @property
+    def is_own(self) -> bool:
+        """Whether observations are those of `ObservationLayout`: no subclass has its own `see`."""
+        return type(self).see is ReachInterface.see
+
     @cached_property
     def layout(self) -> ObservationLayout:
         """The layout of the environment's observations; a `CannotActError` if they are others."""
@@ -394,12 +384,19 @@ class ReachInterface:
         return ObservationLayout(len(self.segment_lengths), sum(self.segment_lengths))
 
     @property
+    def _joint_count(self) -> int:
+        """Number of joints; an arm in space may have more than distances between its nodes."""
+        return getattr(self.arm, "joint_count", len(self.segment_lengths))
+
+    @property
     def max_joint_delta(self) -> float:
         """Angle from a joint to its target that asks the servo for full speed, radians."""
         return self.speed_limit / self.servo_gain
 
     def sense(self, observation: Observation) -> Sensed:
         """Return posture and target of observations of either kind, see `ObservationLayout`."""
+        if not self.is_own:
+            return self.look(observation)
         observation = self.layout.check(observation)
         if isinstance(observation, Mapping):
             joint_angles = self._joint_angles(np.asarray(observation["observation"], np.float64))
@@ -410,8 +407,29 @@ class ReachInterface:
             target = in_the_world(self.layout.split(values).target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
+    def look(self, observation: Observation) -> Seen:
+        """Return what `see` returns; if it is your own, checked and as float64.
+
+        So no value that is not finite gets into an agent or a measure.  `sense` returns what most
+        agents need.
+        """
+        seen = self.see(observation)
+        if self.is_own:
+            return seen
+        require(isinstance(seen, Seen), "what see returns", seen, "a Seen")
+        batch = np.shape(seen.joint_angles)[:-1]
+        of_joints = (*batch, self._joint_count)
+        of_points = (*batch, 2 if self.arm is None else 3)
+        return replace(
+            seen,
+            joint_angles=_finite("joint_angles of see", seen.joint_angles, of_joints),
+            target=_finite("target of see", seen.target, of_points),
+            joint_speeds=_finite("joint_speeds of see", seen.joint_speeds, of_joints),
+            hand=_finite("hand of see", seen.hand, of_points),
+        )
+
     def see(self, observation: Observation) -> Seen:
-        """Return all that observations show; `sense` returns what most agents need."""
+        """Return all that observations show."""
         layout = self.layout
         values = np.asarray(layout.flatten(layout.check(observation)), np.float64)
         parts, joint_angles = layout.split(values), self._joint_angles(values)
@@ -479,6 +497,14 @@ class ReachInterface:
         clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
         return clipped
 
+    def checked_action(self, action: Any, batch: tuple[int, ...]) -> Any:
+        """Return what `act` returned; if `act` is your own, as finite numbers, (*batch, any)."""
+        if type(self).act is ReachInterface.act:
+            return action
+        action = np.asarray(action)
+        _require_finite("what act returns", action, (*batch, *action.shape[-1:]))
+        return action
+
     def check_takes_joint_targets(self) -> None:
         """Raise a `CannotActError` under torque control, whose servos take no targets."""
         if self.control == "joint_torque":
@@ -488,49 +514,20 @@ class ReachInterface:
             )
 
 
-def _checked_see(see: Callable[[Any, Any], Seen]) -> Callable[[Any, Any], Seen]:
-    """Return a user's `see` that returns finite float64 arrays of fitting shapes, or raises."""
-
-    @wraps(see)
-    def checked(self: ReachInterface, observation: Any) -> Seen:
-        seen = see(self, observation)
-        require(isinstance(seen, Seen), "what see returns", seen, "a Seen")
-        count, size = len(self.segment_lengths), 2
-        if self.arm is not None:
-            count, size = self.arm.joint_count, 3
-        batch = np.shape(seen.joint_angles)[:-1]
-        arrays = {
-            name: _finite(f"{name} of see", getattr(seen, name), (*batch, length))
-            for name, length in (
-                *(("joint_angles", count), ("target", size)),
-                *(("joint_speeds", count), ("hand", size)),
-            )
-        }
-        return replace(seen, **arrays)
-
-    return checked
-
-
-def _checked_act(act: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a user's `act` that returns finite actions with the batch axes of the targets."""
-
-    @wraps(act)
-    def checked(self: ReachInterface, joint_targets: Floats, sensed: Sensed) -> Any:
-        action = np.asarray(act(self, joint_targets, sensed))
-        return _finite("what act returns", action, (*joint_targets.shape[:-1], *action.shape[-1:]))
-
-    return checked
-
-
-def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Return a finite array of a shape as float64; actions may stay float32."""
+def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
+    """Return a finite array of a shape as float64."""
     array = np.asarray(value)
+    _require_finite(name, array, shape)
+    return array.astype(np.float64, copy=False)
+
+
+def _require_finite(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    """Raise a `UserError` for an array that is not of finite numbers and of a shape."""
     fine = array.shape == shape and array.dtype.kind in "fiu"
     require(fine, name, f"{array.dtype} of shape {array.shape}", f"numbers of shape {shape}")
     # For a single arm four times quicker than numpy.
     is_finite = math.isfinite(sum(array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
-    require(bool(is_finite), name, value, "finite")
-    return array if name == "what act returns" else array.astype(np.float64, copy=False)
+    require(bool(is_finite), name, array, "finite")
 
 
 class InterfacedEnv(gym.Env[Any, Any]):
@@ -580,7 +577,7 @@ class InterfacedEnv(gym.Env[Any, Any]):
 
     def _described(self, observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
         """Return the info with what the interface sees."""
-        seen, before = self.parameters.see(observation), self._joint_angles
+        seen, before = self.parameters.look(observation), self._joint_angles
         turn = 0.0 if before is None else wrap_angle(seen.joint_angles - before)
         self._joint_angles = (seen.joint_angles if before is None else before) + turn
         distance = float(np.linalg.norm(seen.target - seen.hand))

@@ -27,7 +27,14 @@ from typing_extensions import override
 from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._notebook import facts_table
 from mmc_gym.geometry import Floats
-from mmc_gym.interface import CannotActError, Observation, ReachInterface, Sensed, read_attribute
+from mmc_gym.interface import (
+    CannotActError,
+    Observation,
+    ReachInterface,
+    Seen,
+    Sensed,
+    read_attribute,
+)
 from mmc_gym.network import MMCState
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
@@ -169,8 +176,6 @@ class InternalModelAgent(Agent[State]):
 
     #: whether it moves an arm in space (`ReachInterface.arm`); others a planar one
     is_in_space: ClassVar[bool] = False
-    #: whether `respond` gets all that observations show (`Seen`), with a row for each arm
-    sees_all: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:
         """Make an agent for an environment; raise a `CannotActError` if it cannot act in it."""
@@ -193,29 +198,9 @@ class InternalModelAgent(Agent[State]):
     def start(self, sensed: Sensed) -> State:
         """Return the state of internal models in the sensed postures."""
 
-    @abstractmethod
-    def respond(self, state: State, sensed: Any) -> tuple[NDArray[np.float32], State]:
-        """Return the action, and the state after one control step."""
-
-    @override
-    def predict(
-        self,
-        observation: Observation,
-        state: State | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], State | None]:
-        look = self.interface.see if self.sees_all else self.interface.sense
-        sensed = look(observation)
+    def _resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
         batch = sensed.joint_angles.shape[:-1]
-        if self.sees_all:
-            sensed = sensed.in_rows()
-        rows, start = sensed.joint_angles.shape[:-1], partial(self.start, sensed)
-        state = resumed(state, start, rows, episode_start, self._layouts)
-        action, state = self.respond(state, sensed)
-        if self.sees_all:
-            action = action.reshape(*batch, action.shape[-1])
-        return action, state
+        return resumed(state, partial(self.start, sensed), batch, episode_start, self._layouts)
 
 
 class JointTargetAgent(InternalModelAgent[State]):
@@ -226,9 +211,41 @@ class JointTargetAgent(InternalModelAgent[State]):
         """Return joint targets (..., N) in radians, and the state after one control step."""
 
     @override
-    def respond(self, state: State, sensed: Sensed) -> tuple[NDArray[np.float32], State]:
+    def predict(
+        self,
+        observation: Observation,
+        state: State | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], State | None]:
+        sensed = self.interface.sense(observation)
+        state = self._resumed(state, sensed, episode_start)
         joint_targets, state = self.advance(state, sensed)
-        return self.interface.act(joint_targets, sensed), state
+        action = self.interface.act(joint_targets, sensed)
+        return self.interface.checked_action(action, joint_targets.shape[:-1]), state
+
+
+class FeedbackAgent(InternalModelAgent[State]):
+    """An agent whose internal model is corrected by all that observations show."""
+
+    @abstractmethod
+    def respond(self, state: State, seen: Seen) -> tuple[NDArray[np.float32], State]:
+        """Return actions, and the state after one control step; arrays have a row for each arm."""
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: State | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], State | None]:
+        seen = self.interface.look(observation)
+        batch, rows = seen.joint_angles.shape[:-1], seen.in_rows()
+        state = self._resumed(state, rows, episode_start)
+        action, state = self.respond(state, rows)
+        action = self.interface.checked_action(action, rows.joint_angles.shape[:-1])
+        return action.reshape(*batch, action.shape[-1]), state
 
 
 def resumed(

@@ -50,7 +50,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import LARGEST_SIZE, require, require_between, require_positive
-from mmc_gym.agents.base import InternalModelAgent
+from mmc_gym.agents.base import FeedbackAgent
 from mmc_gym.agents.inverse_kinematics import hand_position, jacobian, leave_line
 from mmc_gym.geometry import Floats, nearest_reachable, wrap_angle
 from mmc_gym.interface import ReachInterface, Seen, Sensed, turned_back
@@ -212,10 +212,8 @@ class Belief(NamedTuple):
     asked: Floats  #: velocities commanded since the time of the senses, rad/s, (..., steps, N)
 
 
-class OptimalControlAgent(InternalModelAgent[Belief]):
+class OptimalControlAgent(FeedbackAgent[Belief]):
     """Optimal feedback control of the given arm, by joint velocities."""
-
-    sees_all = True
 
     def __init__(self, interface: ReachInterface, assumed: Assumptions = DEFAULT) -> None:
         """Make an agent of these assumptions."""

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import InternalModelAgent, every, some, where
+from mmc_gym.agents.base import FeedbackAgent, every, some, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
@@ -68,10 +68,8 @@ class BodyState(NamedTuple):
     memory: Memory
 
 
-class BodyAgent(InternalModelAgent[BodyState]):
+class BodyAgent(FeedbackAgent[BodyState]):
     """An agent with an internal model of its body."""
-
-    sees_all = True
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = ALL_PARTS) -> None:
         """Make the agent; `solver` is its internal model.  It cannot act under torque control."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import InternalModelAgent
+from mmc_gym.agents.base import FeedbackAgent
 from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
 from mmc_gym.agents.body_model.parts import Parts
@@ -61,10 +61,10 @@ class SpatialState(NamedTuple):
     offset: Floats  # c, (m, 3)
 
 
-class SpatialBodyAgent(InternalModelAgent[SpatialState]):
+class SpatialBodyAgent(FeedbackAgent[SpatialState]):
     """A body agent for an arm in space, see `ReachInterface.arm`."""
 
-    is_in_space = sees_all = True
+    is_in_space = True
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts) -> None:
         """Make the agent; `parts` switch links, locks and imagination off.
