@@ -1,4 +1,4 @@
-"""Inverse kinematics: ours beside peers, for arms as given and for arms that changed.
+"""Inverse kinematics: ours and peers, for arms as given and for arms that changed.
 
 Run it with `python benchmarks/inverse_kinematics.py`.  Solvers that are not installed (they are in
 the extra `inverse-kinematics`) are named and left out.  They take turns, a block of problems each,

@@ -1,9 +1,9 @@
 """The network of hinges by the number of joints, and the network in torch.
 
 Run it with `python benchmarks/network_speed.py`.  The network of hinges settles on random poses of
-chains of 7, 14 and 28 joints.  torch stands beside numpy and numba, as it is, and with gradients
-back to where it began; they take turns, and ratios are medians over the rounds of each round's own.
-`speed` times the compiled network beside a plain copy of its state, and the agents.
+chains of 7, 14 and 28 joints.  torch, without and with gradients back to the start, is compared
+with numpy and numba; they take turns, and ratios are medians of those of each round.  `speed`
+compares the compiled network with a plain copy of its state, and times the agents.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def _vector(env: Any, num_envs: int, episode: int) -> Player:
 
 
 def dm_control(domain: str, task: str) -> Player:
-    """One environment of dm_control's suite, as it stands."""
+    """One environment of dm_control's suite, unchanged."""
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn
     from dm_control import suite
 

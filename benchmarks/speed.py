@@ -1,4 +1,4 @@
-"""Speed of this package beside its peers: environments, the network, and agents.
+"""Speed of this package and of its peers: environments, the network, and agents.
 
 Run it with `make speed`, or `python benchmarks/speed.py`; peers that are not installed (they are in
 the `benchmark` extra) are named and left out.  Timed calls take turns; a ratio is the median over
@@ -119,7 +119,7 @@ def single_table(times: Times) -> Table:
 
 
 def vector_table(times: Times) -> Table:
-    """Make the table of vector environments, beside EnvPool's with as many threads."""
+    """Make the table of vector environments, with EnvPool's with as many threads."""
     headings = ("arms", "threads", "steps per second", f"to {PEER}", "quartiles", "to EnvPool")
     title = f"many arms; ratios to one {PEER}, and to EnvPool with as many threads"
     table = empty_table(title, ("environment", ""), headings)

@@ -1,4 +1,4 @@
-"""Timing by turns: calls alternate, so that a drift of the machine's speed meets all."""
+"""Timing by turns: calls alternate, so that machine drift affects all equally."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw the film of a Panda whose second joint is locked: `mmc-body` beside plain IK.
+"""Draw the film of a Panda whose second joint is locked: `mmc-body` and plain IK.
 
 Needs panda-gym: pip install "mmc-gym[bodies]".
 

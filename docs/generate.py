@@ -44,7 +44,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 PAGE_OF_CLASS = {MMCReachEnv: "/envs/reach", MMCReachGoalEnv: "/envs/goal"}
 
-AGENTS = ("mmc", "mmc-body", "ppo")  # beside each other, from left to right
+AGENTS = ("mmc", "mmc-body", "ppo")  # from left to right
 AGENTS_IN_WORDS = "mmc, mmc-body and ppo"
 EPISODES = 20
 EVERY = 4  # control steps between two pictures
@@ -355,7 +355,7 @@ class Filmed(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def film(one: Scenario, folder: Path) -> None:
-    """Film the agents beside each other; count how many episodes each ends at the target."""
+    """Film the agents side by side; count how many episodes each ends at the target."""
     counts, films = {}, []
     for name in AGENTS:
         counts[name], pictures = play(one, name)
@@ -388,7 +388,7 @@ def named(picture: Image.Image, agent: str) -> Image.Image:
 
 
 def moving_picture(films: list[list[Image.Image]]) -> bytes:
-    """Return films of the same length beside each other, as WebP that repeats."""
+    """Return films of the same length side by side, as WebP that repeats."""
     frames = [
         Image.fromarray(np.hstack([np.asarray(picture) for picture in pictures]))
         for pictures in zip(*films, strict=True)

@@ -18,7 +18,7 @@ import mmc_gym
 from mmc_gym.interface import ReachInterface, Seen
 from mmc_gym.robots import HingeArm
 
-BASE = np.array([-0.6, 0.0, 0.0])  # where the robot stands
+BASE = np.array([-0.6, 0.0, 0.0])  # of the base
 STEP, TURN = 0.04, 0.05  # seconds of a control step, radians that an action of 1 asks for
 
 

@@ -2,8 +2,8 @@
 How do the agents play Gymnasium's Reacher-v5?
 ==============================================
 
-Nobody has to train for it: write a ``ReachInterface`` that says where in an observation posture,
-hand and target are, and what torque brings the joints to the posture that an agent asks for.
+No training is needed: write a ``ReachInterface`` that says where in an observation posture,
+hand and target are, and what torque brings the joints to the posture that an agent commands.
 ``pip install "mmc-gym[bodies]"``, then either of:
 
 .. code-block:: sh

@@ -25,7 +25,7 @@ UNSEALED = "0" * 64
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
-    """Write `content` to a temporary file beside `path`, flush it to disk, and rename it.
+    """Write `content` to a temporary file in the same folder, flush it to disk, and rename it.
 
     Missing parent folders are made.  A text is written as UTF-8.
 

@@ -76,7 +76,7 @@ def paths_and_profiles(
     """Draw the hand paths of each agent and, below, the speed profile of all its movements.
 
     Args:
-        movements: of each agent, by its heading; at most `IN_A_ROW` stand side by side.
+        movements: of each agent, by its heading; `IN_A_ROW` in a row.
         reach: radius of the disc that the hand can reach, segment lengths.
         tolerance: distance from the target that counts as success, segment lengths.
         control_step: seconds.

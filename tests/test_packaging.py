@@ -94,7 +94,7 @@ def test_public_names_are_at_the_top_and_loaded_when_they_are_used():
 
 
 @pytest.mark.parametrize("folder", ["studies", "benchmarks", "examples"])
-def test_code_beside_the_package_uses_public_names_only(folder):
+def test_studies_benchmarks_and_examples_use_public_names_only(folder):
     private = re.compile(r"(?:from|import) mmc_gym[\w.]*\._|from mmc_gym[\w.]* import .*\b_[a-z]")
     files = [*(ROOT / folder).rglob("*.py"), *(ROOT / folder).rglob("*.ipynb")]
     assert files

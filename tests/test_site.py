@@ -2,7 +2,7 @@
 
 The site is that in the folder MMC_GYM_SITE, which `make docs` has built.  Without one it is built
 here, without running examples, which other tests do, and without films.  The pictures in it are
-those that the commands beside them draw.
+those that the commands next to them draw.
 """
 
 import os

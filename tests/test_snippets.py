@@ -1,4 +1,4 @@
-"""The code and the commands of every page run as they stand, each in a new process.
+"""The code and the commands of every page run, each in a new process.
 
 They run in a folder that has what the pages speak of: a benchmark, trainings, a model of
 stable-baselines3, and modules of the reader.  Long ones are shortened: see `SHORTER` and `SMALL`.

@@ -1,10 +1,10 @@
 """
-How far does learning in one direction reach?
-=============================================
+How far does learning in one direction generalise?
+==================================================
 
-A turned cursor is met at one target, straight ahead. Probes at eight targets show how much of it is
-applied there. In a probe an error clamp keeps the cursor on the straight line, whatever the hand
-does, so nothing is learned from it.
+A visuomotor rotation is learned at one target, straight ahead. Probes at eight targets show how
+much of it is applied there. In a probe an error clamp keeps the cursor on the straight line,
+whatever the hand does, so nothing is learned from it.
 """
 
 import matplotlib.pyplot as plt

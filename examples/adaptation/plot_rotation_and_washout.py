@@ -1,10 +1,10 @@
 """
-How is a turned cursor learned, and unlearned?
-==============================================
+How is a visuomotor rotation learned, and unlearned?
+====================================================
 
-The cursor is the hand, turned by 30° about the start. An agent that learns from trial to trial
-reaches straight again after some trials, and to the other side when the turn is gone. Such an
-after-effect shows that something was kept; a mere correction in flight leaves none.
+The cursor is the hand, rotated by 30° about the start. An agent that learns from trial to trial
+reaches straight again after some trials, and to the other side when the rotation is gone. Such an
+after-effect shows that something was retained; an online correction leaves none.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ from mmc_gym.experiments.experiment import Block, Experiment
 
 # %%
 # An experiment is data: blocks of trials. This one is shorter than ``rotation-30``, which ships.
-# Each subject meets the eight targets in an order of its own.
+# Each subject reaches for the eight targets in another order.
 
 blocks = (Block("baseline", 8), Block("learning", 48, ("rotation-30",)), Block("washout", 16))
 result = mmc_gym.run_experiment(Experiment("short", blocks), ["mmc-body", "ppo"], 4, jobs=1)

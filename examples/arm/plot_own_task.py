@@ -24,7 +24,7 @@ from mmc_gym.envs.tasks import Task, Trial
 
 @dataclass(frozen=True)
 class Circle(Task):
-    """The target goes round a circle about a point beside the base."""
+    """The target moves in a circle that does not surround the base."""
 
     seconds: float = 2.0
     radius: float = 0.6
@@ -39,7 +39,7 @@ class Circle(Task):
         return Trial(request.draw_posture(), targets)
 
 
-register_task("circle", Circle(), "the target goes round a circle")
+register_task("circle", Circle(), "the target moves in a circle")
 
 # %%
 # The id contains the name. Agents need not know the task.

@@ -1,10 +1,10 @@
 """
-How does a robot reach whose joint is stuck?
-============================================
+How does a robot reach whose joint is locked?
+=============================================
 
-A ``ReachInterface`` says what agents see and do in environments of other people. Here the arm is a
-Panda in space, its elbow is stuck, and its forearm 20 % longer than given. ``mmc-body`` is told
-neither: it identifies both, and its network settles in postures that hold the elbow.
+A ``ReachInterface`` says what agents see and do in third-party environments. Here the arm is a
+Panda in space, its elbow is locked, and its forearm 20 % longer than given. ``mmc-body`` is given
+neither change: it identifies both, and its network settles in postures that hold the elbow.
 :doc:`../panda_reach` is the same robot in pybullet.
 """
 

@@ -3,8 +3,8 @@ How well does an agent reach if a link is longer than given?
 ============================================================
 
 Gymnasium's ``Reacher-v5`` takes another model, here one whose second link is 20 % longer, and
-:doc:`../reacher` says how agents see and move its arm. ``mmc-body`` sees the hand beside its
-joints, and identifies the length. Plain inverse kinematics with the same servo does not.
+:doc:`../reacher` says how agents see and move its arm. ``mmc-body`` sees its hand as well as
+its joints, and identifies the length. Plain inverse kinematics with the same servo does not.
 """
 
 import tempfile

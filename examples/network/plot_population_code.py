@@ -1,6 +1,6 @@
 """
-What do the hidden units of a learned normalizer stand for?
-===========================================================
+What do the hidden units of a learned normalizer encode?
+========================================================
 
 Directions. Though training does not require it, each unit is active for a range of directions
 around a preferred one, and together they cover the circle: a population code, as in motor cortex.

@@ -1,7 +1,7 @@
 """Time the training of a policy from nothing until it reaches: PPO on many analytic arms.
 
 stable-baselines3's PPO learns on the analytic engine (extra `fast`).  Its policies are copied
-during the training, while the clock stands still, and scored after it: on pymunk, with targets that
+during the training, without counting that time, and scored after it: on pymunk, with targets that
 they have not seen.  The table shows when 95 % and 98 % of the targets were reached for the first
 time, by seed and as the median, in wall time and in processor time, which other work on the machine
 does not lengthen.  A profile shows where the processor time goes.

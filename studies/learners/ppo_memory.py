@@ -62,7 +62,7 @@ HERE = "studies.learners.ppo_memory"
 TARGET_JUMP = 0.1
 """A target that moves by more than this in a step has jumped, segment lengths."""
 NOISE = 0.05
-"""Standard deviation of a student's noise, so that it meets slightly more than its own states."""
+"""Standard deviation of a student's noise, so that it visits slightly more than its own states."""
 CALM = 0.004
 """Mean square of actions at which an error counts half as much as at rest.  Errors of small actions
 count more, because actions are small at the target, where success is decided."""

@@ -1,7 +1,7 @@
 """Print how many steps and minutes trainings take until their policies reach; draw learning curves.
 
     python -m studies.learners.trainings                     # the policies that ship
-    python -m studies.learners.trainings --agents ppo 'runs/mine-*'    # your own beside it
+    python -m studies.learners.trainings --agents ppo 'runs/mine-*'    # with your own
     python -m studies.learners.trainings --out runs/trainings
 
 The numbers come from the cards of the policies, so that nothing is trained.  With --out they are

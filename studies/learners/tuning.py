@@ -234,7 +234,7 @@ def _open_study(journal: Path, name: str) -> optuna.Study:
             _ = complete.user_attrs[_CONSTANTS]
     except OSError:
         raise
-    except Exception as error:  # whatever Optuna meets where the journal is damaged
+    except Exception as error:  # whatever Optuna raises if the journal is damaged
         raise UserError(
             f"{journal} is no journal of Optuna, or is damaged: {type(error).__name__}: {error}"
         ) from error

@@ -1,4 +1,4 @@
-"""Measure what the network does beside inverse kinematics, for arms of 2 to 10 segments.
+"""Measure what the network does besides inverse kinematics, for arms of 2 to 10 segments.
 
 A solver of inverse kinematics answers one question: which posture brings the hand to a place?  The
 network completes whatever is not clamped, so it answers others without a change:

@@ -13,7 +13,7 @@ Weight decay λ adds the L2 penalty λ Σ w² on the weights of all layers to E,
 `kernel_regularizer=l2(λ)` in every layer does: ∂E/∂W_k gains 2 λ W_k.  The paper's sixty networks
 have none.
 
-Runs stand on a leading axis: parameters are (runs, P), values (runs, units, samples), samples
+Runs are the leading axis: parameters are (runs, P), values (runs, units, samples), samples
 (runs, 4, n), each a column of x and u.
 
 This command trains the normalizers that ship with the package, in about a minute:

@@ -1,1 +1,1 @@
-"""The body agents on other bodies: environments of other people, real robots."""
+"""The body agents on other bodies: third-party environments, robots."""

@@ -1,7 +1,7 @@
 """Play `PandaReachJoints-v3` with the given body and with changed ones: agents, IK, TQC.
 
-Everyone is given the Panda as it is sold.  In most rows it is another one: a link is longer, or a
-joint stays where it starts.  Episodes end when the hand is within 5 cm of the target, or after 50
+All agents are given the standard model of the Panda.  In most rows the true arm differs: a link is
+longer, or a joint is locked.  Episodes end when the hand is within 5 cm of the target, or after 50
 steps; every step without costs 1 (the return).  A hand that rests for 10 steps is taken to stay.
 "Within reach" is the share of the targets to which some posture of the true body brings the hand,
 by the network from 100 postures.
@@ -60,7 +60,7 @@ class Arguments:
     Attributes:
         agents: who plays: the two agents; damped least squares alone, without their loops;
             pybullet's inverse kinematics; TQC.  Without any, the results are printed.
-        bodies: the bodies of the tables, or those that nobody tuned anything for.
+        bodies: the bodies of the tables, or those on which nothing was tuned.
         episodes: episodes of each agent with each body.
         seed: 0 plays the environment's seeds 0, 1, …; 1 those from 1000 on.
         tqc: model of TQC.

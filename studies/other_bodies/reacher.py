@@ -1,10 +1,10 @@
 """Play `Reacher-v5` with the given body and with changed ones: agents, plain IK, SAC.
 
-Everyone is given the arm of the package.  In most rows it is another one: a link is longer, or
-friction holds a joint where it starts.  The return is the environment's: minus the distance in
+All agents are given the arm of the package.  In most rows the true arm differs: a link is longer,
+or friction holds a joint where it starts.  The return is the environment's: minus the distance in
 metres and the squared torques, summed over 50 steps.  An episode succeeds if at its end the hand is
 within 1 cm of the target; or of the nearest point that the true arm can reach, because with a joint
-held an arm of two joints reaches a circle only.
+held an arm of two joints reaches only a circle.
 
     python -m studies.other_bodies.trainings sac --out runs/reacher-sac    # hours
     python -m studies.other_bodies.reacher --sac runs/reacher-sac
@@ -43,7 +43,7 @@ LENGTHS = (0.1, 0.11)  # metres
 ELBOW = 3.0  # the elbow's limit, radians
 NEAR = 0.01  # metres
 STEPS, STEP = 50, 0.02
-LONGER = {  # what stands in the model's file, and what takes its place
+LONGER = {  # text of the model's file, and its replacement
     0: ((r'name="body1" pos="0.1 0 0"', 'name="body1" pos="{} 0 0"'), 0.12),
     1: ((r'name="fingertip" pos="0.11 0 0"', 'name="fingertip" pos="{} 0 0"'), 0.132),
 }

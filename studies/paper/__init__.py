@@ -1,1 +1,1 @@
-"""The paper's experiments, run again and set beside the published results."""
+"""The paper's experiments, run again and compared with the published results."""

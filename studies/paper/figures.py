@@ -92,7 +92,7 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
     axes.set(
         xlabel="hidden units of the normalization network",
         ylabel="distance after 100 iterations\n[of start to target]",
-        ylim=(0, 1.3 * float(high.max())),  # the legend stands above
+        ylim=(0, 1.3 * float(high.max())),  # room for the legend above
     )
     axes.legend(frameon=False, ncols=2, loc="upper center")
     return figure
@@ -149,7 +149,7 @@ def draw_postures(movements: Mapping[str, Recording]) -> Figure:
 def write_number(
     axes: Axes, number: int, place: tuple[float, float], offset: tuple[float, float], **style: Any
 ) -> None:
-    """Write a number with a white halo beside a place; `offset` is in points."""
+    """Write a number with a white halo next to a point; `offset` is in points."""
     halo = [withStroke(linewidth=2, foreground="white")]
     axes.annotate(
         str(number), place, offset, textcoords="offset points", path_effects=halo, **style

@@ -1,6 +1,6 @@
 """Run the paper's 420 movements, from each of 21 targets to each other, and its example movement.
 
-The targets stand at the radii 1, 2, 3 and the angles 0°, 30°, …, 180°.  Before each movement
+The targets are at the radii 1, 2, 3 and the angles 0°, 30°, …, 180°.  Before each movement
 the network is set to the starting posture and moves to the first target (the warm movement);
 its state is kept, the second target is given, and the movement is recorded.  Distance and
 velocity are divided by the distance between the two targets (paper, Sect. "Results").

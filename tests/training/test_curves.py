@@ -1,4 +1,4 @@
-"""Learning curves: of which policies, and what they tell."""
+"""Learning curves: of which policies, and what they show."""
 
 from dataclasses import replace
 
