@@ -25,13 +25,14 @@ from mmc_gym.agents.body_model.agent import ik_body
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.experiments.adaptation import (
-    beside_people,
-    draw_beside_people,
+from mmc_gym.experiments.results import (
+    ExperimentResult,
+    draw_with_people,
     learning_figure,
     learning_table,
+    with_people,
 )
-from mmc_gym.experiments.trials import ExperimentResult, run_experiment
+from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.measures import MEASURES
 from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from studies.body_model.playing import body_model, play
@@ -89,7 +90,7 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
                     known = LAWS[name]
                     found = {"estimate": known.of(played[0]), "low": math.nan, "high": math.nan}
                 rows.append({"agent": agent, "of": scenario, **_facts(known), **found})
-    return beside_people(pd.DataFrame(rows)).to_dict("records")
+    return with_people(pd.DataFrame(rows)).to_dict("records")
 
 
 def _facts(known: Quantity) -> dict[str, Any]:
@@ -163,7 +164,7 @@ def draw(rows: pd.DataFrame) -> Figure:
         size = (9.0, 1.9 * height)
         figure, axes = plt.subplots(height, COLUMNS, figsize=size, layout="constrained")
         for place, (panel, measure) in enumerate(zip(np.ravel(axes), known, strict=False)):
-            draw_beside_people(panel, rows, measure)
+            draw_with_people(panel, rows, measure)
             panel.tick_params(labelleft=place % COLUMNS == 0)
         for panel in np.ravel(axes)[len(known) :]:
             panel.axis("off")

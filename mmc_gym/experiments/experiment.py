@@ -16,7 +16,7 @@ import re
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import yaml
@@ -28,6 +28,7 @@ from pydantic.dataclasses import dataclass
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
 from mmc_gym.envs.names import parse_change
+from mmc_gym.envs.perturbations import CursorJump, ErrorClamp, ForceField, Perturbation
 from mmc_gym.envs.tasks import CuedTarget, outward
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ Perturbations = tuple[Annotated[str, AfterValidator(_perturbation)], ...]
 Directions = tuple[
     Annotated[float, Ge(-360), Lt(360), AfterValidator(lambda turn: turn % 360)], ...
 ]
+Kind: TypeAlias = Literal["plain", "catch", "clamp", "transfer", "jump", "other"]
+"""What a trial is measured as; "plain" trials are those without a probe and without a clamp."""
+
 EIGHT = tuple(45.0 * k for k in range(8))
 _STRICT = ConfigDict(extra="forbid")
 
@@ -81,6 +85,27 @@ class Probe:
     perturbations: Perturbations = ()
     targets: Directions = ()  #: directions in place of the block's, which may never be trained
     target_jump: float = 0.0  #: of the target in flight, see `CuedTarget.jump`
+    #: what its trials are measured as.  None: "jump" with a jump of cursor or target; or "transfer"
+    #: with targets of its own, "clamp" in an error clamp, "catch" without perturbations, or "other"
+    kind: Literal["catch", "clamp", "transfer", "jump", "other"] | None = None
+
+    @property
+    def measured_as(self) -> Kind:
+        """Its kind, which follows from its other fields if it is not given."""
+        if self.kind is not None:
+            return self.kind
+        if self.target_jump or _has(self.perturbations, CursorJump):
+            return "jump"
+        if self.targets:
+            return "transfer"
+        if _has(self.perturbations, ErrorClamp):
+            return "clamp"
+        return "other" if self.perturbations else "catch"
+
+
+def _has(perturbations: tuple[str, ...], kind: type[Perturbation]) -> bool:
+    """Return whether one of the perturbations is of a class."""
+    return any(isinstance(parse_change(one).perturbation, kind) for one in perturbations)
 
 
 @_explained
@@ -149,10 +174,21 @@ class PlannedTrial(NamedTuple):
     perturbations: tuple[str, ...]
     strength: float  #: of the last perturbation; 0 without one
     probe: str  #: the probe's name; empty for other trials
+    kind: Kind  #: what it is measured as; "clamp" in all trials of a block under an error clamp
     targets: tuple[float, ...]  #: the directions of which one is met
     rest: float  #: before it, s
     go_cue: float
     target_jump: float
+
+    @property
+    def is_clamped(self) -> bool:
+        """Whether the cursor moves in a fixed direction."""
+        return _has(self.perturbations, ErrorClamp)
+
+    @property
+    def is_field(self) -> bool:
+        """Whether a force field pushes the hand."""
+        return _has(self.perturbations, ForceField)
 
 
 @_explained
@@ -204,6 +240,7 @@ class Experiment:
         for index, block in enumerate(self.blocks):
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
+                plain: Kind = "clamp" if _has(changes, ErrorClamp) else "plain"
                 last = parse_change(changes[-1]).strength if changes else None
                 planned.append(
                     PlannedTrial(
@@ -213,6 +250,7 @@ class Experiment:
                         perturbations=changes,
                         strength=last or 0.0,
                         probe=probe.name if probe else "",
+                        kind=probe.measured_as if probe else plain,
                         targets=(probe and probe.targets) or block.targets,
                         rest=0.0 if trial else block.rest,
                         go_cue=block.go_cue,

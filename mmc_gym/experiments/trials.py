@@ -20,7 +20,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -29,14 +29,11 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 
 from mmc_gym._errors import UserError, require_choice, require_whole, shown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
-from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import Parts
@@ -47,13 +44,8 @@ from mmc_gym.envs.names import TaskEntry
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
-from mmc_gym.experiments.adaptation import (
-    LengthUnit,
-    learning_figure,
-    learning_table,
-    print_learning,
-)
 from mmc_gym.experiments.experiment import Experiment, PlannedTrial, find_experiment
+from mmc_gym.experiments.results import ExperimentResult
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
@@ -64,50 +56,6 @@ _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
 _PATHS = ("hands", "cursors", "targets")
 _Cell: TypeAlias = tuple[pa.Table, Kept]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ExperimentResult:
-    """The movements of agents in an experiment."""
-
-    experiment: Experiment
-    #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
-    #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (of the last
-    #: perturbation, 0 without), probe (empty for usual trials), target_angle (degrees), start_x,
-    #: start_y (of the hand), go_step (control step of the go cue), and how the agent went through:
-    #: rate and retention (of its states, separated by commas; empty without), keeps_all
-    trials: pd.DataFrame
-    hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
-    cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
-    targets: NDArray[np.float32]  #: likewise, of the target
-    control_step: float  #: s
-    lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`
-
-    @cached_property
-    def measures(self) -> pd.DataFrame:
-        """The measures of learning with their intervals, see `learning_table`."""
-        return learning_table(self, lengths_in=self.lengths_in)
-
-    def plot(self, figure: Figure | None = None) -> Figure:
-        """Return a figure, a new one if None is given, see `learning_figure`."""
-        return learning_figure(self, self.measures, figure)
-
-    def print(self, console: Console | None = None) -> None:
-        """Print the measures; to standard output by default."""
-        print_learning(self.measures, console)
-
-    def write(self, out: Path | str) -> list[Path]:
-        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`."""
-        stem = Path(out) / self.experiment.name
-        written = []
-        for kind, table in (("trials", self.trials), ("measures", self.measures)):
-            text = table.to_csv(index=False, lineterminator="\n")
-            written.append(write_atomically(f"{stem}.{kind}.csv", text))
-        return written + save_figure(self.plot(), Path(f"{stem}.curves"))
-
-    def __repr__(self) -> str:
-        agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
-        return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from mmc_gym.report.results import Results, count, listed, read_results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mmc_gym.experiments.adaptation import LengthUnit
-    from mmc_gym.experiments.trials import ExperimentResult
+    from mmc_gym.experiments.results import ExperimentResult, LengthUnit
 
 __all__ = ["write_report"]
 

@@ -18,7 +18,7 @@ from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
 
 if TYPE_CHECKING:
-    from mmc_gym.experiments.trials import ExperimentResult
+    from mmc_gym.experiments.results import ExperimentResult
 
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
@@ -301,10 +301,7 @@ def _notes(*notes: str) -> tuple[str, ...]:
 
 def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     """Return the measures of learning of agents in an experiment, below those of people."""
-    from mmc_gym.experiments.adaptation import (  # takes long, as matplotlib
-        settings_note,
-        settings_of,
-    )
+    from mmc_gym.experiments.results import settings_note  # takes long, as does matplotlib
 
     name, measures = result.experiment.name, result.measures
     facts = measures.drop_duplicates("measure").to_dict("records")
@@ -322,7 +319,7 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
         (Heading("agent"), *(Heading(one["label"], one["unit"]) for one in facts)),
         tuple(sorted(rows, key=lambda row: row.name != PEOPLE)),
         f"Of the mean over {count(result.trials['subject'].nunique(), 'subject')}; below, 95 % "
-        f"bootstrap intervals over subjects; –: no value.{settings_note(settings_of(result))}"
+        f"bootstrap intervals over subjects; –: no value.{settings_note(result.settings)}"
         f"{tasks and ' People:' + tasks}",
     )
 

@@ -1,7 +1,5 @@
 """Tables and figures of learning, from trials of learners that are known."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,13 +7,14 @@ from rich.console import Console
 
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.statistics import resampled_means
-from mmc_gym.experiments.adaptation import (
+from mmc_gym.experiments.adaptation import learning_of
+from mmc_gym.experiments.experiment import Block, Experiment, Probe
+from mmc_gym.experiments.results import (
+    ExperimentResult,
     learning_figure,
-    learning_of,
     learning_table,
     print_learning,
 )
-from mmc_gym.experiments.experiment import Block, Experiment, Probe
 from mmc_gym.measures.catalogue import PEOPLE
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.learners import TwoStates, simulate_learners
@@ -43,19 +42,18 @@ def played(turn, subjects=6, family="rotation", called="own"):
         way = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
         return (BELL * way.reshape(-1, 1, 2)).astype(np.float32)
 
-    probes = [one.probe for one in schedule] * subjects
     trials = pd.DataFrame(
         {
             "agent": "known",
             "subject": np.repeat(np.arange(subjects), len(schedule)),
             "trial": list(range(len(schedule))) * subjects,
-            "perturbation": ["+".join(one.perturbations) for one in schedule] * subjects,
             "target_angle": angles.ravel(),
-            "probe": probes,
-            "go_step": 0,
+            "rate": "",
+            "retention": "",
+            "keeps_all": False,
         }
     )
-    return SimpleNamespace(
+    return ExperimentResult(
         experiment=experiment,
         trials=trials,
         hands=paths(angles - compensated),
@@ -68,7 +66,7 @@ def played(turn, subjects=6, family="rotation", called="own"):
 @pytest.mark.parametrize("turn", [30.0, -30.0])
 def test_learners_are_found_again_in_their_paths(turn):
     result = played(turn)
-    learning = learning_of(result, "known")
+    learning = learning_of(result.movements_of("known"))
     visible = learning.perturbations - learning.adaptation
     assert learning.errors == pytest.approx(visible, abs=1e-3)
     table = learning_table(result, 50).set_index("measure")

@@ -144,7 +144,7 @@ def test_probes_that_nobody_saw_are_left_out_of_the_width():
     assert generalization_width(blind, ROUND - 180) == pytest.approx(60, rel=1e-3)
 
 
-def learning_in(schedule, learner, kinds="", rest=0):
+def learning_in(schedule, learner, kinds="plain", rest=0):
     perturbations, clamps = schedule
     adaptation, errors = simulate_learners(learner, perturbations, clamps)
     changes = np.diff(np.nan_to_num(perturbations), prepend=0) != 0
@@ -191,7 +191,7 @@ def test_who_turns_with_the_perturbation_has_no_rate_of_learning():
 
 def test_measures_of_a_clamp():
     schedule = np.zeros(180), np.r_[NONE * np.nan, np.full(120, 15.0)]
-    kinds = np.where(np.arange(180) < 60, "", "clamp")
+    kinds = np.where(np.arange(180) < 60, "plain", "clamp")
     learning = learning_in(schedule, LEARNER, kinds)
     found = {name: float(value[0]) for name, value in measure_learning(learning).items()}
     assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())

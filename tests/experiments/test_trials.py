@@ -13,7 +13,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents.base import Agent
 from mmc_gym.experiments import trials
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
-from mmc_gym.experiments.trials import ExperimentResult, read_experiments, run_experiment
+from mmc_gym.experiments.results import ExperimentResult
+from mmc_gym.experiments.trials import read_experiments, run_experiment
 from mmc_gym.interface import ReachInterface
 from mmc_gym.report import write_report
 

@@ -1,0 +1,300 @@
+"""The result of an experiment: its table of measures, with intervals over subjects, and its figure.
+
+Intervals resample subjects with the bootstrap of `mmc_gym.benchmark.statistics`: a curve is the
+mean over the drawn subjects, and a measure is one of that curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+import pandas as pd
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+
+from mmc_gym._console import cell, make_console, print_columns
+from mmc_gym._errors import require_choice
+from mmc_gym._files import write_atomically
+from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
+from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
+from mmc_gym.experiments.adaptation import (
+    OF_ADAPTATION,
+    QUANTITIES,
+    Learning,
+    Movements,
+    learning_of,
+    measure_learning,
+)
+from mmc_gym.experiments.experiment import Experiment
+from mmc_gym.measures.catalogue import PEOPLE, people, span
+
+RESAMPLES = 500
+CYCLE = 4  # trials to a point of the figure
+METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
+MARKERS = "osD^vP"
+
+LengthUnit: TypeAlias = Literal["lengths", "m"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentResult:
+    """The movements of agents in an experiment."""
+
+    experiment: Experiment
+    #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
+    #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (see
+    #: `PlannedTrial`), probe (empty for usual trials), target_angle (degrees), start_x, start_y (of
+    #: the hand), go_step (control step of the go cue), and how the agent went through: rate and
+    #: retention (of its states, separated by commas; empty without), keeps_all
+    trials: pd.DataFrame
+    hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
+    cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
+    targets: NDArray[np.float32]  #: likewise, of the target
+    control_step: float  #: s
+    lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`
+
+    @cached_property
+    def measures(self) -> pd.DataFrame:
+        """The measures of learning with their intervals, see `learning_table`."""
+        return learning_table(self, lengths_in=self.lengths_in)
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The rate and retention of each agent that has them, and which keep all, in words."""
+        found = {}
+        for row in self.trials.drop_duplicates("agent").to_dict("records"):
+            texts = [f"{name} {row[name]}" for name in ("rate", "retention") if row[name]]
+            found[row["agent"]] = ", ".join(texts + ["keeps all"] * row["keeps_all"])
+        return found
+
+    def movements_of(self, agent: str) -> Movements:
+        """Return the movements of an agent's subjects."""
+        rows = self.trials[self.trials["agent"] == agent].sort_values(["subject", "trial"])
+        shape = rows["subject"].nunique(), len(self.experiment.schedule)
+        return Movements(
+            schedule=self.experiment.schedule,
+            angles=rows["target_angle"].to_numpy(np.float64).reshape(shape),
+            hands=self.hands[rows.index].reshape(*shape, -1, 2),
+            cursors=self.cursors[rows.index].reshape(*shape, -1, 2),
+            targets=self.targets[rows.index].reshape(*shape, -1, 2),
+            control_step=self.control_step,
+        )
+
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Return a figure, a new one if None is given, see `learning_figure`."""
+        return learning_figure(self, self.measures, figure)
+
+    def print(self, console: Console | None = None) -> None:
+        """Print the measures; to standard output by default."""
+        print_learning(self.measures, console)
+
+    def write(self, out: Path | str) -> list[Path]:
+        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`."""
+        stem = Path(out) / self.experiment.name
+        written = []
+        for kind, table in (("trials", self.trials), ("measures", self.measures)):
+            text = table.to_csv(index=False, lineterminator="\n")
+            written.append(write_atomically(f"{stem}.{kind}.csv", text))
+        return written + save_figure(self.plot(), Path(f"{stem}.curves"))
+
+    def __repr__(self) -> str:
+        agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
+        return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
+
+
+def learning_table(
+    result: ExperimentResult, resamples: int = RESAMPLES, lengths_in: LengthUnit = "lengths"
+) -> pd.DataFrame:
+    """Return a row for each agent and each measure that some agent has a value of.
+
+    Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
+    missing, source and settings (see `ExperimentResult.settings`).  A measure that people have a
+    published figure of in such an experiment has a row of the agent "people", too, with a source;
+    see `with_people`.
+
+    With `lengths_in` "m" lengths are metres, for an arm as long as a person's.
+    """
+    require_choice("lengths_in", lengths_in, get_args(LengthUnit))
+    rows = []
+    for agent in result.trials["agent"].unique():
+        learning = learning_of(result.movements_of(agent))
+        found = measure_learning(_resampled(learning, resamples))
+        for one in QUANTITIES:
+            unit = learning.unit if one.unit == OF_ADAPTATION else one.unit
+            factor, unit = (METRES, "m") if (unit, lengths_in) == ("lengths", "m") else (1, unit)
+            values = factor * found[one.name]
+            is_known = not math.isnan(values[0])
+            low, high = percentile_interval(values[1:]) if is_known else (math.nan, math.nan)
+            facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
+            interval = {"estimate": float(values[0]), "low": low, "high": high}
+            count = {"count": len(learning.errors), "missing": 0, "source": ""}
+            rows.append({"agent": agent, "measure": one.name, **facts, **interval, **count})
+    table = pd.DataFrame(rows)
+    has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
+    whole = with_people(table[has_values], result.experiment.family)
+    return whole.assign(settings=whole["agent"].map(result.settings).fillna(""))
+
+
+def _resampled(of: Learning, resamples: int) -> Learning:
+    """Return the mean over subjects, then that of each resample, see `resampled_means`."""
+    corrections = of.corrections and of.corrections._replace(
+        responses=resampled_means(of.corrections.responses, resamples)
+    )
+    return replace(
+        of,
+        adaptation=resampled_means(of.adaptation, resamples),
+        errors=resampled_means(of.errors, resamples),
+        corrections=corrections,
+    )
+
+
+def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
+    """Return a table of agents with rows of people below, for measures that they have a figure of.
+
+    `low` and `high` are the published range, equal for a single figure; one of them is NaN for a
+    bound.  `experiment` is the family of experiments; empty for single movements.
+    """
+    cited = people(experiment)
+    rows = [
+        facts
+        | {"agent": PEOPLE, "count": 0, "low": one.low, "high": one.high, "source": one.authors}
+        | {"estimate": one.low if one.low == one.high else math.nan}
+        for facts in table.drop_duplicates("measure").to_dict("records")
+        if (one := cited.get(facts["measure"]))
+    ]
+    return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
+
+
+def settings_note(settings: Mapping[str, str]) -> str:
+    """Return a sentence for each agent with settings."""
+    return "".join(f" {agent}: {text}." for agent, text in settings.items() if text)
+
+
+def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
+    """Print a `learning_table`: a row for each measure, a column for each agent and people."""
+    console = console or make_console()
+    if table.empty:
+        console.print("No agent has a value of any measure of learning here.")
+        return
+    facts = table.drop_duplicates("measure").set_index("measure")
+    units = (f"\n[{unit}]" if unit else "" for unit in facts["unit"])
+    columns = {}
+    for agent, rows in table.groupby("agent", sort=False):
+        cells = {row["measure"]: _printed(row) for row in rows.to_dict("records")}
+        columns[str(agent)] = [cells.get(name, "–") for name in facts.index]
+    headings = {"": [label + unit for label, unit in zip(facts["label"], units)]}
+    note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
+    note += settings_note(dict(zip(table["agent"], table["settings"], strict=True)))
+    print_columns(console, headings, columns, note)
+
+
+def _printed(row: Any) -> str:
+    if row["agent"] == PEOPLE:
+        return f"{span(row['low'], row['high'])}\n{row['source']}"
+    return cell(row, row["decimals"])
+
+
+def learning_figure(
+    result: ExperimentResult,
+    table: pd.DataFrame | None = None,
+    figure: Figure | None = None,
+    resamples: int = RESAMPLES,
+) -> Figure:
+    """Draw the timeline of an experiment and, below, the learning curve of each agent.
+
+    A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
+    Probes other than catch trials and error clamps are left out.  Measures in `table`, by default
+    those of the result, that people have a figure of follow below, see `draw_with_people`.
+    """
+    table = result.measures if table is None else table
+    compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
+    rows = 3 if compared else 2
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+        if figure is None:
+            figure = ShownFigure(figsize=(7.5, 2.2 * rows), layout="constrained")
+            FigureCanvasAgg(figure)
+        ratios = (1, 3, 1.2)[:rows]
+        grid = figure.add_gridspec(rows, max(1, len(compared)), height_ratios=ratios)
+        above = figure.add_subplot(grid[0, :])
+        below = figure.add_subplot(grid[1, :], sharex=above)
+        for column, measure in enumerate(compared):
+            panel = figure.add_subplot(grid[2, column])
+            draw_with_people(panel, table, measure)
+            panel.tick_params(labelleft=column == 0)
+        result.experiment.plot_timeline(above)
+        above.set_xlabel("")
+        _draw_curves(below, result, resamples)
+        shown = below.get_legend_handles_labels()
+        figure.legend(*shown, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
+    return figure
+
+
+def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
+    """Draw the learning curve of each agent, and full compensation of the perturbation."""
+    for number, (agent, settings) in enumerate(result.settings.items()):
+        learning = learning_of(result.movements_of(agent))
+        style = LINES[(number + number // len(COLOURS)) % len(LINES)]
+        colour = COLOURS[number % len(COLOURS)]
+        label = f"{agent} ({settings})" if settings else agent
+        axes.plot([], [], color=colour, linestyle=style, label=label)
+        _draw_curve(axes, learning, colour, style, resamples)
+    for begin in np.flatnonzero(np.diff(learning.blocks)) + 0.5:
+        axes.axvline(begin, color="0.8", linewidth=0.8, zorder=0)
+    full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)
+    line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
+    axes.step(np.arange(len(full)), full, "0.6", **line)
+    if "catch" in learning.kinds:
+        axes.plot([], [], "x", color="0.4", ms=4, label="catch trials")
+    in_degrees = learning.unit == "°"
+    label = "hand angle [°]" if in_degrees else "adaptation [share of the deviation]"
+    axes.set(xlabel="trial", ylabel=label)
+
+
+def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resamples: int) -> None:
+    """Draw the mean adaptation of each cycle of trials over the middle of the cycle."""
+    in_curve = np.isin(learning.kinds, ("plain", "clamp"))
+    for block in np.unique(learning.blocks):
+        trials = np.flatnonzero(in_curve & (learning.blocks == block))
+        cycles = np.array_split(trials, max(1, len(trials) // CYCLE))
+        of_subjects = [learning.adaptation[:, one].mean(axis=1) for one in cycles]
+        means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
+        places = [one.mean() for one in cycles]
+        axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
+        if len(means) > 1:  # a single subject has no band
+            ends = np.quantile(means[1:], TAILS, axis=0)
+            axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
+    catches = np.flatnonzero(learning.kinds == "catch")
+    axes.plot(catches, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)
+
+
+def draw_with_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:
+    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band."""
+    agents = [agent for agent in table["agent"].unique() if agent != PEOPLE]
+    found = {row["agent"]: row for row in table[table["measure"] == measure].to_dict("records")}
+    row = found[PEOPLE]
+    low, high = row["low"], row["high"]
+    for place, agent in enumerate(agents):
+        one = found.get(agent, {"estimate": math.nan, "low": math.nan, "high": math.nan})
+        colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+        axes.plot(one["estimate"], -place, marker, color=colour, markersize=5)
+        axes.plot([one["low"], one["high"]], [-place, -place], color=colour)
+    left, right = min(0.0, axes.get_xlim()[0]), 1.1 * np.nanmax([axes.get_xlim()[1], low, high])
+    if low == high:
+        axes.axvline(low, color="0.6", linewidth=4, zorder=0)
+    else:
+        band = max(low, left), right if math.isnan(high) else high
+        axes.axvspan(*band, color="0.85", zorder=0)
+    axes.set_title(row["label"] + (f" [{row['unit']}]" if row["unit"] else ""))
+    axes.set_xlabel(f"people: {span(low, high)}\n{row['source']}", fontsize=6.5)
+    axes.set(xlim=(left, right), ylim=(0.5 - len(agents), 0.5))
+    axes.set_yticks([-place for place in range(len(agents))], agents)
