@@ -233,17 +233,12 @@ def spelt(cls: Class) -> Class:
     return cls
 
 
-_COUNTS = ("n_segments", "num_segments", "segments", "n_joints", "num_joints", "n_links")
-"""Names that users give to the number of segments, which follows from the lengths."""
-
-
 def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
     """Raise a `UserError` for the first argument in `given` that is not in `known`."""
     known = tuple(known)
     for name in given:
         if name not in known:
-            other = "segment_lengths" if name in _COUNTS and "segment_lengths" in known else ""
-            guess = _question(other or nearest(name, known))
+            guess = _question(nearest(name, known))
             raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
 
 
@@ -254,15 +249,14 @@ def explain(error: ValidationError) -> str:
     """
     complaints = []
     for each in error.errors(include_url=False):
-        entry = ".".join(map(str, each["loc"]))
+        entry, kind = ".".join(map(str, each["loc"])), each["type"]
         accepted = each["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         accepted = accepted.replace("greater than or equal to", "at least")
-        if each["type"] == "missing":
-            complaints.append(f"{entry} must be given")
-        elif each["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            complaints.append(f"{entry} is not known")
-        else:
-            complaints.append(
-                f"{entry} {accepted}, got {shown(each['input'])}" if entry else accepted
-            )
+        if kind == "missing":
+            accepted = "must be given"
+        elif kind in ("extra_forbidden", "unexpected_keyword_argument"):
+            accepted = "is not known"
+        elif entry:
+            accepted += f", got {shown(each['input'])}"
+        complaints.append(f"{entry} {accepted}".strip())
     return "; ".join(complaints)

@@ -118,8 +118,8 @@ class Training:
         with one_torch_thread():
             settings = self.recipe.settings
             env = make_vec_env(self.recipe.env_id, settings["n_envs"], settings["env_kwargs"])
-            self._world = env.vector_env
-            self.interface = ReachInterface.of(self._world)  #: of the environment
+            self._env = env.vector_env
+            self.interface = ReachInterface.of(self._env)  #: of the environment
             model = self.make_model(env)
             try:
                 PolicyAgent(*self._policy(model), self.interface)
@@ -169,8 +169,7 @@ class Training:
         if not self.checkpoint.exists():
             return None
         head = read_head(self.checkpoint)
-        here = self._identity()
-        there, here = _flat({name: head.get(name) for name in here}), _flat(here)
+        here, there = self._identity(), head.get("identity", {})
         differences = [
             f"{name} {there.get(name)} (here {here.get(name)})"
             for name in there | here
@@ -192,7 +191,7 @@ class Training:
             for name, value in scores.items():
                 model.logger.record(f"evaluation/{name}", value)
             model.logger.dump(model.num_timesteps)
-        head = {**self._identity(), **self._times(), "curve": self.curve}
+        head = {"identity": self._identity(), **self._times(), "curve": self.curve}
         save_checkpoint(model, head, self.checkpoint)
         self.report(TrainingProgress(model.num_timesteps, self.total_steps, self.curve[-1]))
 
@@ -216,8 +215,8 @@ class Training:
             "seed": self.seed,
             "evaluations": self.evaluations,
             "device": self.device,
-            "hyperparameters": self.recipe.hyperparameters,
-            "versions": library_versions(),
+            **self.recipe.hyperparameters,
+            **library_versions(),
         }
 
     def _times(self) -> dict[str, float]:
@@ -242,8 +241,8 @@ class Training:
             versions=library_versions(),
             scores={},
             learning_curve=[],
-            engine=read_attribute(self._world, "engine"),
-            body=read_attribute(self._world, "unperturbed"),
+            engine=read_attribute(self._env, "engine"),
+            body=read_attribute(self._env, "unperturbed"),
             **inputs,
         )
         return network, card
@@ -332,14 +331,6 @@ def usable_device(name: str) -> str:
             f"device must be one that PyTorch can use here, such as cpu, got {name!r}: {reason}"
         ) from error
     return name
-
-
-def _flat(head: dict[str, Any]) -> dict[str, Any]:
-    """Return a mapping whose nested mappings are replaced by their own entries."""
-    found: dict[str, Any] = {}
-    for name, value in head.items():
-        found |= value if isinstance(value, dict) else {name: value}
-    return found
 
 
 def library_versions() -> dict[str, str]:
