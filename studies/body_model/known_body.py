@@ -17,8 +17,8 @@ import numpy as np
 from typing_extensions import override
 
 from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, network_of_body
-from mmc_gym.agents.body_model.body import PLACED, Body, Locks
-from mmc_gym.agents.body_model.imagination import settled_network
+from mmc_gym.agents.body_model.body import PLACE_RATE, Body, Locks
+from mmc_gym.agents.body_model.imagination import settle_network
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -33,7 +33,7 @@ class KnownBody(BodyAgent):
         """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)
         parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
-        super().__init__(interface, partial(settled_network, network_of_body(interface)), parts)
+        super().__init__(interface, partial(settle_network, network_of_body(interface)), parts)
         self.setup: ReachSetup = env.unwrapped.setup
 
     @override
@@ -45,14 +45,15 @@ class KnownBody(BodyAgent):
             turn = complex(*rotation.cursor(1.0, 0.0)) - shift
         lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))
         body = Body(lengths, np.full(arms, turn), np.full(arms, shift))
+        delay = state.senses.delay._replace(late=np.full(arms, float(self.setup.delay)))
         return state._replace(
             evidence=state.evidence._replace(body=body),
-            delay=state.delay._replace(late=np.full(arms, float(self.setup.delay))),
+            senses=state.senses._replace(delay=delay),
         )
 
     @override
-    def _sense(self, state: BodyState, seen: Seen) -> BodyState:
-        state = super()._sense(state, seen)
+    def _observe(self, state: BodyState, seen: Seen) -> BodyState:
+        state = super()._observe(state, seen)
         if self.setup.lock_step is None:
             return state
         return state._replace(locks=self._true_locks(state))
@@ -60,12 +61,12 @@ class KnownBody(BodyAgent):
     def _true_locks(self, state: BodyState) -> Locks:
         """Return the locks in this control step; delayed senses show the locked angles later."""
         since = state.looks - 1 - (self.setup.lock_step or 0)
-        by_now = state.delay.run_forward(self.interface, state.posture.joint_angles)
-        late, seen = self.setup.delay, state.posture.joint_angles
+        late, seen = self.setup.delay, state.senses.posture.joint_angles
+        by_now = state.senses.delay.run_forward(self.interface, seen)
         place = state.locks.place
         place = np.where((since <= 0)[:, None], by_now, place)
         place = np.where((since == late)[:, None], seen, place)
-        place = np.where((since > late)[:, None], place + PLACED * (seen - place), place)
+        place = np.where((since > late)[:, None], place + PLACE_RATE * (seen - place), place)
         is_locked = np.zeros(place.shape, bool)
         is_locked[:, list(self.setup.body.lockable_joints)] = (since >= 0)[:, None]
         changed = is_locked & ((since == 0) | (since == late))[:, None]

@@ -26,7 +26,7 @@ from rich.progress import track
 from rich.table import Table
 
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body, network_of_body
-from mmc_gym.agents.body_model.arm import hand
+from mmc_gym.agents.body_model.forward_model import hand
 from mmc_gym.agents.body_model.imagination import SETTLE
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.suite import find_scenarios

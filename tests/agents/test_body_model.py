@@ -10,13 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
-from mmc_gym.agents.body_model.arm import command_of, commanded_turn
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
+from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
 from mmc_gym.agents.body_model.imagination import within_reach
-from mmc_gym.agents.body_model.obstacles import LONG, MOST, NOWHERE, RADIUS, SHORT, Contacts, room
+from mmc_gym.agents.body_model.obstacles import (
+    MOST_DISCS,
+    NOWHERE,
+    RADIUS,
+    TOUCHES,
+    TOUCHES_AFTER_BLOW,
+    Contacts,
+    room,
+)
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
+from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
@@ -45,7 +53,7 @@ def identified(lengths, angle, shift, looks, noise=0.0):
     for joint_angles in postures(looks):
         felt = (np.array(lengths) * np.exp(1j * np.cumsum(joint_angles, axis=-1))).sum(axis=-1)
         seen = np.exp(1j * angle) * felt + shift + noise * complex_normals(random)
-        evidence = evidence.observed(joint_angles, seen)
+        evidence = evidence.add(joint_angles, seen)
     return evidence.best
 
 
@@ -82,7 +90,7 @@ def test_posture_and_its_noise_are_estimated(noise):
     seen = path + noise * random.standard_normal(path.shape)
     track = PostureTrack.start(seen[0], speeds)
     for joint_angles in seen[1:]:
-        track = track.observed(joint_angles, speeds, STEP)
+        track = track.filter(joint_angles, speeds, STEP)
     assert np.median(track.deviation) == pytest.approx(noise, rel=0.3, abs=1e-9)
     assert np.median(np.abs(track.joint_angles - path[-1])) <= 0.5 * noise + 1e-9
 
@@ -92,12 +100,12 @@ def test_a_moving_target_is_predicted_and_a_jump_is_followed_at_once():
     path = np.exp(2j * times) + 0.5 * times
     track = TargetTrack.start(path[:1])
     for place in path[1:30]:
-        track = track.observed(np.array([place]), STEP)
+        track = track.filter(np.array([place]), STEP)
     assert track.is_moving.all()
-    assert abs(track.ahead(np.array([5.0]))[0] - path[34]) < 0.01
-    track = track.observed(path[30:31] + 1.0, STEP)
+    assert abs(track.predict(np.array([5.0]))[0] - path[34]) < 0.01
+    track = track.filter(path[30:31] + 1.0, STEP)
     assert track.has_jumped.all()
-    assert track.ahead(np.zeros(1))[0] == path[30] + 1.0
+    assert track.predict(np.zeros(1))[0] == path[30] + 1.0
 
 
 @pytest.mark.parametrize("equal", [0, 4], ids=["noise", "first observations equal by chance"])
@@ -105,8 +113,8 @@ def test_a_target_at_rest_is_averaged(equal):
     random, track = np.random.default_rng(3), TargetTrack.start(np.full(ARMS, 0.1 + 0.0j))
     for look in range(100):
         seen = 0.1 * complex_normals(random) if look >= equal else np.full(ARMS, 0.1 + 0.0j)
-        track = track.observed(seen, STEP)
-    assert np.median(np.abs(track.ahead(np.zeros(ARMS)))) < 0.03
+        track = track.filter(seen, STEP)
+    assert np.median(np.abs(track.predict(np.zeros(ARMS)))) < 0.03
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.5], ids=["exact", "noisy speeds"])
@@ -115,11 +123,11 @@ def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
     still = np.zeros((1, 3))
     posture, delay = PostureTrack.start(still, still + noise), Delay.start(still)
     for look in range(12):
-        delay = delay.sent(posture.joint_angles + 1.0, posture, INTERFACE)
+        delay = delay.record(posture.joint_angles + 1.0, posture, INTERFACE)
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
-        posture = before.observed(before.seen + STEP * turn, speeds, STEP)
-        delay = delay.observed(before, posture)
+        posture = before.filter(before.seen + STEP * turn, speeds, STEP)
+        delay = delay.estimate(before, posture)
     assert delay.late == late
 
 
@@ -128,8 +136,9 @@ def locks_after(turns, asked, lockable=()):
     posture = PostureTrack.start(*np.zeros((2, 1, 3)))
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
-        posture = posture.observed(posture.joint_angles + turn, turn / STEP, STEP)
-        locks = locks.observed(posture, np.array([asked]), np.array([True]), lockable)
+        before, posture = posture, posture.filter(posture.joint_angles + turn, turn / STEP, STEP)
+        step = LastStep(before, posture, np.array([asked]), np.array([True]), np.array([True]))
+        locks = locks.identify(step, lockable)
         yield locks.is_locked[0].tolist()
 
 
@@ -151,11 +160,11 @@ def touched(contacts, joint_angles, turn, before=None):
     """The memory after an arm of three unit segments makes a turn in place of the one asked."""
     start = PostureTrack.start(joint_angles, turn / STEP)
     postures = start._replace(turn=turn if before is None else before), start._replace(turn=turn)
-    asked = np.array([[0.1, 0.0, 0.0]])
-    return contacts.observed(*postures, asked, np.ones((1, 3)), np.array([True]))
+    commanded, yes = np.array([[0.1, 0.0, 0.0]]), np.array([True])
+    return contacts.locate(LastStep(*postures, commanded, yes, yes), np.ones((1, 3)), yes)
 
 
-@pytest.mark.parametrize(("speed", "steps"), [(0.1, SHORT), (0.0, LONG)])
+@pytest.mark.parametrize(("speed", "steps"), [(0.1, TOUCHES_AFTER_BLOW), (0.0, TOUCHES)])
 def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
     """The arm is held up from above, and feels it sooner if it struck what holds it."""
     contacts = touched(Contacts.start(1, 3), np.zeros((1, 3)), HELD, np.eye(3)[:1] * speed)
@@ -168,7 +177,7 @@ def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
 
 def test_many_contacts_with_one_obstacle_leave_room_for_others():
     contacts = Contacts.start(1, 3)
-    for bearing in [0.0] * MOST + [2.0]:
+    for bearing in [0.0] * MOST_DISCS + [2.0]:
         is_felt = False
         while not is_felt:
             contacts = touched(contacts, np.array([[bearing, 0.0, 0.0]]), HELD)
@@ -195,7 +204,7 @@ def test_a_movement_through_a_disc_is_not_free_and_one_round_it_is():
 
 def test_the_drive_inverts_the_servo():
     now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
-    targets, _ = Drive.start(1, 3).targets(now, turn, 10 * turn, np.zeros((1, 1)), INTERFACE)
+    targets, _ = Drive.start(1, 3).invert_servos(now, turn, 10 * turn, np.zeros((1, 1)), INTERFACE)
     np.testing.assert_allclose(commanded_turn(INTERFACE, now, targets), turn, rtol=1e-6)
 
 
@@ -331,8 +340,8 @@ def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
     noisy = random.normal(0, 0.05, (40, 3))
     after = angles + 0.01 * (speeds + speeds[::-1])
     start = PostureTrack.start(angles, speeds)
-    many = start.observed(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], 0.02)
-    alone = PostureTrack.start(angles[:1], speeds[:1]).observed(after[:1], speeds[-1:], 0.02)
+    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], 0.02)
+    alone = PostureTrack.start(angles[:1], speeds[:1]).filter(after[:1], speeds[-1:], 0.02)
     np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
     aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
     is_within = np.abs(aims) < 2.9

@@ -64,13 +64,13 @@ def test_a_field_is_corrected_in_advance():
 
 
 def test_contacts_are_looked_for_along_the_arm_that_was_learned(monkeypatch):
-    felt, observed = [], Contacts.observed
+    felt, locate = [], Contacts.locate
 
-    def noting(self, before, posture, asked, lengths, counts):
+    def noting(self, step, lengths, counts):
         felt.append(lengths[0])
-        return observed(self, before, posture, asked, lengths, counts)
+        return locate(self, step, lengths, counts)
 
-    monkeypatch.setattr(Contacts, "observed", noting)
+    monkeypatch.setattr(Contacts, "locate", noting)
     parts = Parts(vigour=0.0, rate=(1.0,), retention=(1.0,))
     played([Block("longer", 2, ("longer-35",))], parts)
     np.testing.assert_allclose(felt[len(felt) // 2 :], [[1.0, 1.0, 1.35]] * 49, atol=0.02)

@@ -4,16 +4,14 @@
 
 - `senses`: where the joints and the target are, despite noise, and how late they are seen;
 - `body`: segment lengths, a turned cursor, and joints that are locked;
-- `imagination`: a posture with the hand at the target, found by an internal model;
-- `obstacles`: remembered once they are felt, and ways round them;
+- `imagination`: a posture with the hand at the target, from an internal model;
+- `obstacles`: remembered once they are felt, and routes round them;
 - `drive`: joint targets on the way there;
 - `memory`: what is learned from movement to movement, if anything.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two
 agents share all other parts, so only a difference between them is due to the network.  Each part
-can be switched off (`Parts`), for ablations.
-
-Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm is a batch of one.
+can be switched off (`Parts`), for ablations.  Perturbations are not given.
 """
 
 from __future__ import annotations
@@ -27,21 +25,21 @@ from typing_extensions import override
 
 from mmc_gym.agents.base import FeedbackAgent, every, some, where
 from mmc_gym.agents.body_model import spatial
-from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
+from mmc_gym.agents.body_model.forward_model import as_points, command_of, hand
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
+    InternalModel,
     ReachProblem,
-    Solver,
     least_squares,
-    settled_network,
+    settle_network,
     within_reach,
 )
 from mmc_gym.agents.body_model.memory import Memory
-from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
+from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
+from mmc_gym.agents.body_model.senses import LastStep, Senses
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -49,21 +47,18 @@ from mmc_gym.network import LearnedNormalizer, MMCNetwork
 
 LAG = 1.5  # control steps until the joints are where a command takes them
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
-CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 BETWEEN = -1  # looks of a state between two movements
 
 
 class BodyState(NamedTuple):
-    """State of the agent: the number of observations so far, and the memory of each part."""
+    """State of the agent: the number of observations so far, and that of each part."""
 
     looks: Floats  # (n,)
-    posture: PostureTrack
-    target: TargetTrack
-    delay: Delay
+    senses: Senses
     evidence: BodyEvidence
     locks: Locks
     contacts: Contacts
-    plan: Plan
+    route: Route
     drive: Drive
     memory: Memory
 
@@ -71,26 +66,26 @@ class BodyState(NamedTuple):
 class BodyAgent(FeedbackAgent[BodyState]):
     """An agent with an internal model of its body."""
 
-    def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = ALL_PARTS) -> None:
-        """Make the agent; `solver` is its internal model.  It cannot act under torque control."""
+    def __init__(
+        self, interface: ReachInterface, model: InternalModel, parts: Parts = ALL_PARTS
+    ) -> None:
+        """Make the agent of an internal model.  It cannot act under torque control."""
         super().__init__(interface)
         self.parts = parts
-        self.imagination = Imagination(interface, solver, parts.imagines)
-        self.ways = Ways(self.imagination)
+        self.imagination = Imagination(interface, model, parts.imagines)
+        self.road_map = RoadMap(self.imagination)
 
     @override
     def start(self, sensed: Sensed) -> BodyState:
-        joint_angles, target = sensed.joint_angles, _points(sensed.target)
+        joint_angles = sensed.joint_angles
         arms, joints = joint_angles.shape
         return BodyState(
             looks=np.zeros(arms),
-            posture=PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
-            target=TargetTrack.start(target),
-            delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
+            senses=Senses.start(self.interface, sensed),
             evidence=BodyEvidence.start(self.interface.segment_lengths, arms),
             locks=Locks.start(joint_angles),
             contacts=Contacts.start(arms, joints),
-            plan=Plan.start(joint_angles, target),
+            route=Route.start(joint_angles, as_points(sensed.target)),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts),
         )
@@ -105,29 +100,29 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if state is None or not self.learns:
             return None
         evidence = state.evidence
-        kept = state.memory.kept(evidence.body, evidence.given.lengths, self.parts, rest)
+        kept = state.memory.keep(evidence.body, evidence.given.lengths, self.parts, rest)
         return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=kept)
 
     @override
     def respond(self, state: BodyState, seen: Seen) -> tuple[NDArray[np.float32], BodyState]:
         if self.learns:
-            state = self._remembered(state, seen)
-        state = self._sense(state, seen)
+            state = self._begin_movements(state, seen)
+        state = self._observe(state, seen)
         problem = self._forecast(state)
-        plan = self._plan(state, problem)
-        joint_targets, state = self._drive(state, problem, plan)
+        route = self._plan_route(state, problem)
+        joint_targets, state = self._drive(state, problem, route)
         # Late or noisy joint angles are corrected, speeds are as seen.
         now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
         return self.interface.act(joint_targets, now), state
 
-    def _remembered(self, state: BodyState, seen: Seen) -> BodyState:
+    def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
         """Let movements begin with what was learned in those before."""
         between = state.looks == BETWEEN
         if some(between):
             state = where(between, self.start(seen)._replace(memory=state.memory), state)
         begins, given = state.looks == 0, state.evidence.given.lengths
-        places = _points(seen.hand), _points(seen.target)
-        memory = state.memory.begun(begins, *places, seen.joint_angles, given)
+        places = as_points(seen.hand), as_points(seen.target)
+        memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given)
         return state._replace(memory=memory)
 
     def _body(self, state: BodyState) -> Body:
@@ -137,149 +132,151 @@ class BodyAgent(FeedbackAgent[BodyState]):
             return best
         return state.memory.body(best, state.evidence.given.lengths, self.parts)
 
-    def _sense(self, state: BodyState, seen: Seen) -> BodyState:
-        """Update the memory of the parts; `start` has entered the first observation already."""
+    def _observe(self, state: BodyState, seen: Seen) -> BodyState:
+        """Update what is seen and identified; `start` has entered the first observation already.
+
+        Only lengths and cursor are identified from a single observation.  They come last, so that
+        the last control step is compared with the body as it was known then.
+        """
         is_first = state.looks == 0
         state = state._replace(looks=state.looks + 1)
         if not every(is_first):
-            after = self._feel(self._look(state, seen), state.posture)
+            after = self._compare_step(state, seen)
             state = where(is_first, state, after) if some(is_first) else after
-        if self.parts.identifies_body:
-            hands = _points(seen.hand)
-            if self.learns:
-                hands = state.memory.as_given(hands, seen.joint_angles)
-            evidence = state.evidence.observed(seen.joint_angles, hands)
-            state = state._replace(evidence=evidence)
-        return state
+        return self._identify_body(state, seen)
 
-    def _look(self, state: BodyState, seen: Seen) -> BodyState:
-        """Update the estimates of posture, target and delay."""
-        posture, target = state.posture, state.target
-        if self.parts.filters:
-            step = self.interface.control_step
-            posture = posture.observed(seen.joint_angles, seen.joint_speeds, step)
-            target = target.observed(_points(seen.target), step)
-        else:
-            posture = posture.unfiltered(seen.joint_angles, seen.joint_speeds)
-            target = target.unfiltered(_points(seen.target))
-        delay = state.delay.observed(state.posture, posture)
-        if not self.parts.bridges_delay:  # locks still need to know when a movement is felt
-            delay = delay._replace(late=state.delay.late)
-        return state._replace(posture=posture, target=target, delay=delay)
+    def _compare_step(self, state: BodyState, seen: Seen) -> BodyState:
+        """Compare the last control step with its command.
 
-    def _feel(self, state: BodyState, before: PostureTrack) -> BodyState:
-        """Compare the movement with the last command.
-
-        Joints that do not turn are locked, those that turn slowly bear a load, and obstacles stop
-        some point of the arm.
+        The order matters, because each step rules out the causes before it: late senses show the
+        effect of an older command; joints that do not turn are locked; joints that turn slowly bear
+        a load; an obstacle stops one point of the arm, and then no load slowed the joints.
         """
-        interface, parts, posture, locks = self.interface, self.parts, state.posture, state.locks
-        asked = commanded_turn(interface, before.joint_angles, state.delay.command_then())
-        if parts.finds_locks:
-            lockable, is_felt = interface.lockable_joints, state.delay.is_felt
-            locks = locks.observed(posture, asked, is_felt, lockable, parts.vigour)
-        is_clear = (state.delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
-        recovers = state.target.is_moving
-        drive = state.drive.observed(before, posture, is_clear, recovers, interface)
-        contacts = state.contacts
-        if parts.avoids:
-            counts = is_clear & ~locks.is_locked.any(axis=-1)
-            lengths = self._body(state).lengths
-            contacts = contacts.observed(before, posture, asked, lengths, counts)
-            # An obstacle slowed the joints, not a load.
-            strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
-            drive = drive._replace(acceleration=strength)
-        return state._replace(locks=locks, drive=drive, contacts=contacts)
+        senses = state.senses.update(seen, self.interface, self.parts)
+        step = senses.last_step(state.senses, self.interface)
+        state = state._replace(senses=senses)
+        state = self._identify_locks(state, step)
+        state = self._estimate_strength(state, step)
+        return self._locate_obstacles(state, step)
+
+    def _identify_locks(self, state: BodyState, step: LastStep) -> BodyState:
+        if not self.parts.finds_locks:
+            return state
+        locks = state.locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
+        return state._replace(locks=locks)
+
+    def _estimate_strength(self, state: BodyState, step: LastStep) -> BodyState:
+        recovers = state.senses.target.is_moving
+        drive = state.drive.estimate_acceleration(step, recovers, self.interface)
+        return state._replace(drive=drive)
+
+    def _locate_obstacles(self, state: BodyState, step: LastStep) -> BodyState:
+        if not self.parts.avoids:
+            return state
+        counts = step.is_clear & ~state.locks.is_locked.any(axis=-1)
+        contacts = state.contacts.locate(step, self._body(state).lengths, counts)
+        strength = np.where(contacts.is_new[:, None], STRONGEST, state.drive.acceleration)
+        return state._replace(contacts=contacts, drive=state.drive._replace(acceleration=strength))
+
+    def _identify_body(self, state: BodyState, seen: Seen) -> BodyState:
+        if not self.parts.identifies_body:
+            return state
+        hands = as_points(seen.hand)
+        if self.learns:
+            hands = state.memory.as_given(hands, seen.joint_angles)
+        return state._replace(evidence=state.evidence.add(seen.joint_angles, hands))
 
     def _forecast(self, state: BodyState) -> ReachProblem:
         """Predict where the joints are now, and where the hand should be when a command acts."""
-        now, locks, late = state.posture.joint_angles, state.locks, state.delay.late
-        if some(late):
-            now = state.delay.run_forward(self.interface, now)
+        (posture, target, delay), locks = state.senses, state.locks
+        now = posture.joint_angles
+        if some(delay.late):
+            now = delay.run_forward(self.interface, now)
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
         body = self._body(state)
-        aim = within_reach(body.felt(state.target.ahead(late + LAG)), body.lengths)
+        aim = within_reach(body.felt(target.predict(delay.late + LAG)), body.lengths)
         return ReachProblem(now, aim, body.lengths, held)
 
-    def _plan(self, state: BodyState, problem: ReachProblem) -> Plan:
-        """Return where arms should go: as planned before, or to a newly imagined posture."""
-        begins = state.target.has_jumped | (state.looks == 1) | state.contacts.is_new
-        begins |= np.abs(problem.aim - state.plan.aim) > FARTHER
+    def _plan_route(self, state: BodyState, problem: ReachProblem) -> Route:
+        """Return the routes of the arms: as planned before, or to a newly imagined posture."""
+        begins = state.senses.target.has_jumped | (state.looks == 1) | state.contacts.is_new
+        begins |= np.abs(problem.aim - state.route.aim) > FARTHER
         is_new = begins | state.locks.has_changed.any(axis=-1)
-        goal = self.imagination.followed(state.plan.goal, problem)
-        plan = state.plan.arrived(self.interface, problem.joint_angles)._replace(goal=goal)
+        goal = self.imagination.follow(state.route.goal, problem)
+        route = state.route.advance(self.interface, problem.joint_angles)._replace(goal=goal)
         if some(is_new):
-            plan = plan._replace(goal=goal.copy())
-            plan.goal[is_new] = self.imagination.improved(goal[is_new], problem.of(is_new))
-            plan = self.ways.planned(plan, state.contacts, problem, is_new)
-        is_next_leg = plan.ahead < state.plan.ahead
+            route = route._replace(goal=goal.copy())
+            route.goal[is_new] = self.imagination.improve(goal[is_new], problem.of(is_new))
+            route = self.road_map.plan(route, state.contacts, problem, is_new)
+        is_next_leg = route.ahead < state.route.ahead
         is_new = is_new | is_next_leg
-        aim = np.where(is_new, problem.aim, plan.aim)
-        return plan._replace(aim=aim, begins=begins | is_next_leg, is_new=is_new)
+        aim = np.where(is_new, problem.aim, route.aim)
+        return route._replace(aim=aim, begins=begins | is_next_leg, is_new=is_new)
 
     def _drive(
-        self, state: BodyState, problem: ReachProblem, plan: Plan
+        self, state: BodyState, problem: ReachProblem, route: Route
     ) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
         interface, now = self.interface, problem.joint_angles
-        drive, locks = state.drive, state.locks
-        left = interface.turn(now, plan.next)
-        joint_targets: Floats = now + left
+        left = interface.turn(now, route.next)
         if self.parts.drives and not interface.has_drive:
-            turn, drive = self._turn(state, problem, plan, left)
-            if self.learns:
-                is_early = 2 * drive.elapsed <= drive.duration
-                memory = state.memory.moved(now, problem.lengths, is_early)
-                turn, memory = memory.corrected(
-                    turn, now, problem.aim, problem.lengths, problem.held
-                )
-                state = state._replace(memory=memory)
-            noise = state.posture.deviation
-            joint_targets, drive = drive.targets(now, turn, left, noise, interface)
-        if some(locks.is_locked):
+            joint_targets, state = self._invert_servos(state, problem, route, left)
+        else:
+            joint_targets = now + left
+        if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
             push = 0.0 if interface.has_drive else PUSH
-            pushed = locks.place + push * np.sign(locks.asked)
-            joint_targets = np.where(locks.is_locked, pushed, joint_targets)
+            pushed = state.locks.place + push * np.sign(state.locks.commanded)
+            joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
-        delay = state.delay.sent(command, state.posture, interface)
-        return joint_targets, state._replace(delay=delay, drive=drive, plan=plan)
+        senses = state.senses.record(command, interface)
+        return joint_targets, state._replace(senses=senses, route=route)
+
+    def _invert_servos(
+        self, state: BodyState, problem: ReachProblem, route: Route, left: Floats
+    ) -> tuple[Floats, BodyState]:
+        """Return the joint targets that make the servos turn the joints as they should."""
+        now, memory, noise = problem.joint_angles, state.memory, state.senses.posture.deviation
+        turn, drive = self._turn(state, problem, route, left)
+        if self.learns:
+            is_early = 2 * drive.elapsed <= drive.duration
+            turn, memory = memory.record_drift(problem, is_early).correct_drift(turn, problem)
+        joint_targets, drive = drive.invert_servos(now, turn, left, noise, self.interface)
+        return joint_targets, state._replace(drive=drive, memory=memory)
 
     def _turn(
-        self, state: BodyState, problem: ReachProblem, plan: Plan, left: Floats
+        self, state: BodyState, problem: ReachProblem, route: Route, left: Floats
     ) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""
         interface, drive, met = self.interface, state.drive, state.contacts.met
-        moves: Floats | float = 0.0
-        if some(state.target.is_moving):
-            follows = state.target.is_moving & ~plan.is_new & (plan.ahead == 0)
-            moves = np.where(follows[:, None], interface.turn(state.plan.goal, plan.goal), 0.0)
-        turn = drive.turn(left, moves, interface)
+        is_moving, goal_turn = state.senses.target.is_moving, np.zeros_like(left)
+        if some(is_moving):
+            follows = is_moving & ~route.is_new & (route.ahead == 0)
+            goal_turn = np.where(
+                follows[:, None], interface.turn(state.route.goal, route.goal), goal_turn
+            )
+        turn = drive.turn(left, goal_turn, interface)
         if self.parts.vigour < 1:
-            return self._human_turn(turn, state, problem, plan, left)
-        if some(met):  # arms that know obstacles keep to the way they planned
-            straight = drive.straight(plan.begin, problem.joint_angles, plan.next, interface)
+            return self._human_turn(turn, state, problem, route, left)
+        if some(met):  # arms that know obstacles keep to the planned route
+            straight = drive.straight(route.begin, problem.joint_angles, route.next, interface)
             turn = np.where((met > 0)[:, None], straight, turn)
         return turn, drive
 
     def _human_turn(
-        self, turn: Floats, state: BodyState, problem: ReachProblem, plan: Plan, left: Floats
+        self, turn: Floats, state: BodyState, problem: ReachProblem, route: Route, left: Floats
     ) -> tuple[Floats, Drive]:
         """Return as much of a turn as a slower movement makes in this step, and the drive."""
-        now, lengths, is_moving = problem.joint_angles, problem.lengths, state.target.is_moving
-        way = np.abs(hand(plan.next, lengths) - hand(now, lengths))
-        begins = plan.begins & ~is_moving  # a moving target is followed, not reached
-        drive = state.drive.timed(begins, way, left, self.interface, self.parts.vigour)
+        now, lengths = problem.joint_angles, problem.lengths
+        is_moving = state.senses.target.is_moving
+        way = np.abs(hand(route.next, lengths) - hand(now, lengths))
+        begins = route.begins & ~is_moving  # a moving target is followed, not reached
+        drive = state.drive.time(begins, way, left, self.interface, self.parts.vigour)
         human = in_proportion(turn, left * drive.share_of_turn(now, left, lengths)[:, None])
         follows = is_moving & (drive.elapsed >= drive.duration)
         return np.where(follows[:, None], turn, human), drive
-
-
-def _points(vectors: Floats) -> Points:
-    """Return vectors (..., 2) as complex numbers, (...)."""
-    return vectors.view(np.complex128)[..., 0]
 
 
 def mmc_body(
@@ -287,9 +284,9 @@ def mmc_body(
 ) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is the MMC network, see `network_of_body`."""
     if interface.arm is not None:
-        return spatial.SpatialBodyAgent(interface, spatial.settled_network, parts)
+        return spatial.SpatialBodyAgent(interface, spatial.settle_network, parts)
     network = network_of_body(interface, **settings)
-    return BodyAgent(interface, partial(settled_network, network), parts)
+    return BodyAgent(interface, partial(settle_network, network), parts)
 
 
 def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:

@@ -30,11 +30,11 @@ observations are nearly the same.  A turned cursor, or a segment of another leng
 identified from the first observation, before anything has moved.  The mean error that the best
 hypothesis leaves is added as an offset, unless it is noise.
 
-**Locks.**  While a joint stays where it is, the turns that the servo model expects of it are summed
+**Locks.**  While a joint rests, the turns that the servo model expects of its commands are summed
 up.  When the sum is large enough, the joint is taken as locked, and the internal model holds its
 angle.  A locked joint is still pushed, so that a joint that was only held up (by a load, an
-obstacle, or a joint beside it) is free again as soon as it turns.  Nothing counts before the arm is
-felt to move, because late senses show an arm at rest.
+obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts before the arm
+is felt to move, because late senses show an arm at rest.
 
 Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist. 6, 461–464.
 """
@@ -47,31 +47,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some, where
-from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
-from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.agents.body_model.forward_model import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
 
 FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
-SHORTEST, LONGEST = 0.3, 2.0  # shares of a given length between which hypotheses are kept
+LEAST_RATIO, LARGEST_RATIO = 0.3, 2.0  # of accepted lengths and the given ones
 FREQUENT = 12  # observations after which hypotheses are compared in every fourth control step only
 OFFSET_RATE = 0.1  # rate at which the offset follows the errors
 
-ASKED = 0.4  # turn that is asked of a joint until it is taken as locked, radians
-ASKED_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
-SLOWLY = 0.25  # share of that turn which is enough at a vigour of 0
-ASKED_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
-WRONGLY = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
-STILL = 0.004  # a joint that turns by less rests, radians
-STILL_PER_ASKED = 0.12  # and so does one that turns by a smaller share of what was asked
-SLOW = 0.25  # a faster joint does not rest, rad/s
-SLOW_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
-FREED = 0.06  # a locked joint that is farther from its place is free, radians
-PLACED = 0.1  # rate at which the place of a locked joint follows what is seen
+LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
+LOCKED_AFTER_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
+LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
+HUMAN_SHARE = 0.25  # share of that turn which is enough at a vigour of 0
+CAUTION = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
+REST_TURN = 0.004  # a joint that turns by less rests, radians
+REST_SHARE = 0.12  # and so does one that turns by a smaller share of the commanded turn
+REST_SPEED = 0.25  # a faster joint does not rest, rad/s
+REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
+FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
+PLACE_RATE = 0.1  # rate at which the place of a locked joint follows what is seen
 PUSH = 0.6  # how far ahead the target of a locked joint is, radians
-LATEST = 25  # observations after which joints count as locked though no movement was felt
+FELT_BY = 25  # observations after which joints count as locked though no movement was felt
 
 
 class Body(NamedTuple):
@@ -112,13 +112,13 @@ class BodyEvidence(NamedTuple):
         given = Body(np.tile(np.array(lengths), (arms, 1)), turn=origin + 1, shift=origin)
         return cls(zero, sums, given=given, body=given, offset=origin, scatter=zero)
 
-    def observed(self, joint_angles: Floats, hand: Points) -> BodyEvidence:
+    def add(self, joint_angles: Floats, hand: Points) -> BodyEvidence:
         """Return the evidence after the hand was seen in a posture."""
         units, age = unit_vectors(joint_angles), self.age + 1
         error = hand - (self.given.lengths * units).sum(axis=-1)
         z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
         sums = (1 - FORGET) * self.sums + z.conj()[:, :, None] * z[:, None, :]
-        body = self._judged(sums, age)
+        body = self._identify(sums, age)
         if body is not self.given:
             error = hand - body.seen(units)
         rate = np.maximum(OFFSET_RATE, 1 / age)
@@ -133,19 +133,19 @@ class BodyEvidence(NamedTuple):
         share = square / (square + self.scatter + EXACT)
         return self.body._replace(shift=self.body.shift + share * self.offset)
 
-    def _judged(self, sums: Points, age: Floats) -> Body:
+    def _identify(self, sums: Points, age: Floats) -> Body:
         """Return the best hypothesis for each arm."""
         # If even the whole error is worth less than one parameter, the body is as given.
         count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
         is_given = count * np.log1p(square / EXACT) < PENALTY + 2 * np.log1p(count)
         if every(is_given):
             return self.given
-        looks = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
         body = where(is_given, self.given, self.body)
-        if some(looks):
+        is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
+        if some(is_due):
             body = Body(body.lengths.copy(), body.turn.copy(), body.shift.copy())
-            best = most_likely(sums[looks], self.given.lengths[0])
-            body.lengths[looks], body.turn[looks], body.shift[looks] = best
+            best = most_likely(sums[is_due], self.given.lengths[0])
+            body.lengths[is_due], body.turn[is_due], body.shift[is_due] = best
         return body
 
 
@@ -158,18 +158,13 @@ def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
     return product
 
 
-class Hypothesis(NamedTuple):
-    """A hypothesis about the bodies of n arms."""
+def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDArray[Any]]:
+    """Return ℓ (H, n, N), e^{iφ} (H, n) and k (H,) of H hypotheses, the shift left out.
 
-    lengths: Floats  # ℓ
-    turn: Points  # e^{iφ}
-    parameters: int  # k, without the shift
-
-
-def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
-    """Return each hypothesis with its best parameters, from G, h and the given lengths, (N,)."""
+    They are the best for G (n, N, N) and h (n, N), with the given lengths, (N,).
+    """
     segments = len(given)
-    lengths: Floats = np.tile(given, (len(h), 1))
+    as_given: Floats = np.tile(given, (len(h), 1))
     unturned: Points = np.ones(len(h), complex)
     turn = np.exp(1j * np.angle((h * given).sum(axis=-1)))
     change = (h.real - (g * given).sum(axis=-1)) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
@@ -179,18 +174,14 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
     # Of two opposite turns, the one that leaves lengths positive.
     is_opposite = ((half_turn.conj()[:, None] * h).real * given).sum(axis=-1) < 0
     both_turn = half_turn * np.where(is_opposite, -1, 1)
-
-    def all_lengths(turn: Points) -> Floats:
-        back = (turn.conj()[:, None] * h).real + RIDGE * given
-        return _product(inverse, back)
-
-    return [
-        Hypothesis(lengths, unturned, parameters=0),
-        Hypothesis(lengths, turn, parameters=1),
-        *(Hypothesis(lengths + change * j, unturned, parameters=1) for j in np.eye(segments)),
-        Hypothesis(all_lengths(unturned), unturned, parameters=segments),
-        Hypothesis(all_lengths(both_turn), both_turn, parameters=segments + 1),
-    ]
+    all_lengths = (
+        _product(inverse, (one.conj()[:, None] * h).real + RIDGE * given)
+        for one in (unturned, both_turn)
+    )
+    one_length = (as_given + change * j for j in np.eye(segments))
+    lengths = np.stack([as_given, as_given, *one_length, *all_lengths])
+    turns = np.stack([unturned, turn, *[unturned] * segments, unturned, both_turn])
+    return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
 
 
 def most_likely(sums: Points, given: Floats) -> Body:
@@ -204,19 +195,18 @@ def most_likely(sums: Points, given: Floats) -> Body:
     bodies, criteria = [], []
     for is_shifted, moments in enumerate((sums, about_means)):
         g, h, s = moments[:, :-2, :-2].real, moments[:, :-2, -2], moments[:, -2, -2].real
-        each = hypotheses(g, h, given)
-        lengths: Floats = np.stack([one.lengths for one in each])
-        body = Body(lengths, np.stack([one.turn for one in each]), np.zeros((), complex))
+        lengths, turn, parameters = hypotheses(g, h, given)
+        body = Body(lengths, turn, np.zeros((), complex))
         shift = is_shifted * (hand_sum - body.seen(unit_sum)) / count
         bodies.append(body._replace(shift=shift))
-        back = (body.turn.conj()[..., None] * h).real
+        back = (turn.conj()[..., None] * h).real
         own = (_product(g, lengths) * lengths).sum(axis=-1)
         square_error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
-        parameters = np.array([one.parameters + 2 * is_shifted for one in each])[:, None]
         criterion = count * np.log((square_error + EXACT) / (count + 1))
-        criterion += parameters * (PENALTY + 2 * np.log1p(count))
+        penalty = PENALTY + 2 * np.log1p(count)
+        criterion += (parameters + 2 * is_shifted)[:, None] * penalty
         ratio = lengths / given
-        is_absurd = ~((ratio > SHORTEST) & (ratio < LONGEST)).all(axis=-1)
+        is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
         criteria.append(np.where(is_absurd, np.inf, criterion))
     best, arms = np.concatenate(criteria).argmin(axis=0), np.arange(len(sums))
     return Body(*(np.concatenate(fields)[best, arms] for fields in zip(*bodies, strict=True)))
@@ -226,7 +216,7 @@ class Locks(NamedTuple):
     """Which joints are taken as locked, (n, N)."""
 
     place: Floats  # where each joint is locked, or was last at rest
-    asked: Floats  # sum of the turns asked of it there
+    commanded: Floats  # sum of the turns commanded there
     is_locked: Bools  # whether it is taken as locked
     has_changed: Bools  # whether that changed with the last observation
     was_wrong: Bools  # whether it was ever taken as locked, but turned
@@ -237,36 +227,30 @@ class Locks(NamedTuple):
         free = np.zeros(joint_angles.shape, bool)
         return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
 
-    def observed(
-        self,
-        posture: PostureTrack,
-        expected: Floats,
-        is_felt: Bools,
-        lockable: tuple[int, ...] = (),
-        vigour: float = 1.0,
+    def identify(
+        self, step: LastStep, lockable: tuple[int, ...] = (), vigour: float = 1.0
     ) -> Locks:
-        """Return the locks after one more observation.
+        """Return the locks after a control step, among `lockable` joints if these are given.
 
-        Joints should have turned by `expected`.  Turns count once arms are felt to move
-        (`is_felt`, (n,)).  If `lockable` joints are given, only these can lock.  At a lower
-        `vigour` a smaller turn is enough.
+        Turns count once arms are felt to move.  At a lower `vigour` a smaller turn is enough.
         """
-        noise, seen = posture.deviation, posture.joint_angles
-        tolerance = STILL + 3 * noise
+        noise, seen = step.after.deviation, step.after.joint_angles
+        tolerance = REST_TURN + 3 * noise
         away = np.abs(seen - self.place)
-        moves = away > tolerance + STILL_PER_ASKED * np.abs(self.asked)
-        moves |= np.abs(posture.speeds) > SLOW + SLOW_PER_NOISE * noise
-        freed = self.is_locked & (away > 2 * tolerance + FREED)
+        moves = away > tolerance + REST_SHARE * np.abs(self.commanded)
+        moves |= np.abs(step.after.speeds) > REST_SPEED + REST_SPEED_PER_NOISE * noise
+        freed = self.is_locked & (away > 2 * tolerance + FREED_AT)
         was_wrong = self.was_wrong | freed
-        counts = ~moves & ~freed & (is_felt[:, None] | (posture.age > LATEST))
-        asked = np.where(counts, self.asked + expected, 0.0)
-        least = (ASKED_IF_GIVEN if lockable else ASKED) * (SLOWLY + (1 - SLOWLY) * vigour)
-        enough = (least + ASKED_PER_NOISE * noise) * np.where(was_wrong, WRONGLY, 1.0)
-        holds = counts & (np.abs(asked) > enough)
+        counts = ~moves & ~freed & (step.is_felt[:, None] | (step.after.age > FELT_BY))
+        commanded = np.where(counts, self.commanded + step.commanded, 0.0)
+        least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
+        least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
+        enough = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
+        holds = counts & (np.abs(commanded) > enough)
         if lockable:
             holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
         stays = self.is_locked & ~freed
         is_locked = stays | holds
         place = np.where(moves | holds, seen, self.place)
-        place = np.where(stays, self.place + PLACED * (seen - self.place), place)
-        return Locks(place, asked, is_locked, is_locked != self.is_locked, was_wrong)
+        place = np.where(stays, self.place + PLACE_RATE * (seen - self.place), place)
+        return Locks(place, commanded, is_locked, is_locked != self.is_locked, was_wrong)

@@ -1,19 +1,19 @@
 """Drive: joint targets that make the servos turn the joints as wanted.
 
-**Inverse.**  By the model of `arm.commanded_turn`, the target q + Δq / (1 − exp(−gain Δt)) turns a
+**Inverse.**  By the model of `commanded_turn`, the target q + Δq / (1 − exp(−gain Δt)) turns a
 joint at q by Δq.  A joint that has the angle d left, and can brake with the acceleration a, should
 move with the speed
 
     v = min(speed_limit, √(2 η a |d|), k |d|),        η < 1 for what the model leaves out,
 
 relative to its goal, which may move, so Δq = v Δt.  The acceleration a is estimated whenever a
-joint is asked for more than it can do.
+joint cannot follow its command.
 
 **Vigour.**  People move more slowly, and the speed of their hand is bell-shaped.  At a vigour below
 1 a movement takes 1 − vigour of the time T that a person would take.  Its hand covers the way as in
 minimum jerk, with the time base of `network.time_base`: in the k-th control step it covers the
-share σ_k of what is left of the imagined way.  A lock that is found on the way changes the way, but
-not the duration, because a new movement would begin with a stop.
+share σ_k of what is left of the imagined way.  A lock that is identified on the way changes the
+way, but not the duration, because a new movement would begin with a stop.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import some
-from mmc_gym.agents.body_model.arm import Bools, bounded, hand, turn_share
-from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.agents.body_model.forward_model import Bools, bounded, hand, turn_share
+from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.agents.planners import AVERAGE_SPEED, SHORTEST
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
@@ -33,12 +33,12 @@ from mmc_gym.network.time_base import share
 BRAKE = 0.6  # η: share of a joint's acceleration that the drive counts on
 GAIN = 30.0  # k: speed per angle left, 1/s
 STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration of joints, rad/s²
-SHORT = 0.3  # a joint that lacks more of the speed asked of it does what it can, rad/s
-LEARNED, RISEN = 0.4, 0.1  # rates of the estimate: falling, and rising (others may have helped)
-RECOVERED = 0.03  # rate at which it recovers
-FULL = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
-LONGEST = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
-RETURN = 0.3  # rate at which a posture returns to the straight way that it left
+LACKED_SPEED = 0.3  # a joint that lacks more of its commanded speed does what it can, rad/s
+FALL_RATE, RISE_RATE = 0.4, 0.1  # rates of the estimate; another cause may help a joint to rise
+RECOVERY_RATE = 0.03  # rate at which it recovers
+FULL_LEAD = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
+LARGEST_LEAD = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
+RETURN_RATE = 0.3  # rate at which a posture returns to the straight way that it left
 
 PEAK = 15 / 8  # ratio of highest and mean speed in minimum jerk
 SAMPLES = np.linspace(0.0, 1.0, 9)  # shares of a movement at which its way is measured
@@ -58,51 +58,47 @@ class Drive(NamedTuple):
         still, zero = np.zeros((arms, joints)), np.zeros(arms)
         return cls(np.full_like(still, STRONGEST), lead=still, elapsed=zero, duration=zero)
 
-    def observed(
-        self,
-        before: PostureTrack,
-        posture: PostureTrack,
-        is_clear: Bools,
-        recovers: Bools,
-        interface: ReachInterface,
+    def estimate_acceleration(
+        self, step: LastStep, recovers: Bools, interface: ReachInterface
     ) -> Drive:
-        """Estimate the acceleration from a control step between two postures.
+        """Return the drive with the acceleration of the last control step, where it is clear.
 
-        Arms count that are seen in time and without noise (`is_clear`, (n,)).  Where joints are
-        below their limit, the estimate returns to the first one if `recovers`, (n,).
+        Where joints are below their limit, it returns to the first estimate if `recovers`, (n,).
         """
+        before, posture = step.before, step.after
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds
         lacks = bounded(gain * (self.lead - posture.turn), limit) - speeds
-        saturates = (np.minimum(np.abs(lacked), np.abs(lacks)) > SHORT) & is_clear[:, None]
+        saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
+        saturates &= step.is_clear[:, None]
         if not some(saturates) and not some(recovers):
             return self
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
         change = np.clip(shown, WEAKEST, STRONGEST) - old
-        estimate = old + np.where(change > 0, RISEN, LEARNED) * change
-        idle = old + RECOVERED * recovers[:, None] * (STRONGEST - old)
+        estimate = old + np.where(change > 0, RISE_RATE, FALL_RATE) * change
+        idle = old + RECOVERY_RATE * recovers[:, None] * (STRONGEST - old)
         return self._replace(acceleration=np.where(saturates, estimate, idle))
 
-    def turn(self, left: Floats, moves: Floats | float, interface: ReachInterface) -> Floats:
+    def turn(self, left: Floats, goal_turn: Floats, interface: ReachInterface) -> Floats:
         """Return how far joints should turn in this control step.
 
-        Their goal is `left` away, and moves by `moves` in a control step.
+        Their goal is `left` away, and itself turns by `goal_turn` in a control step.
         """
         step = interface.control_step
-        behind = left - moves
+        behind = left - goal_turn
         size = np.abs(behind)
         turn = step * np.sqrt((2 * BRAKE) * self.acceleration * size)
         turn = np.minimum(turn, min(GAIN * step, 1.0) * size)
         turn = np.minimum(turn, interface.speed_limit * step)
-        return bounded(moves + np.copysign(turn, behind), interface.speed_limit * step)
+        return bounded(goal_turn + np.copysign(turn, behind), interface.speed_limit * step)
 
     def straight(
         self, begin: Floats, joint_angles: Floats, end: Floats, interface: ReachInterface
     ) -> Floats:
         """Return how far joints should turn on the straight way between two postures.
 
-        All joints arrive together, and joints beside the way return to it.
+        All joints arrive together, and joints that have left the way return to it.
         """
         way = interface.turn(begin, end)
         along = ((joint_angles - begin) * way).sum(axis=-1, keepdims=True)
@@ -110,9 +106,10 @@ class Drive(NamedTuple):
         done = np.clip(along / np.maximum(square, 1e-9), 0, 1)
         aside = begin + done * way - joint_angles
         left = (1 - done) * way
-        return in_proportion(self.turn(left, 0.0, interface), left) + RETURN * aside
+        turn = self.turn(left, np.zeros_like(left), interface)
+        return in_proportion(turn, left) + RETURN_RATE * aside
 
-    def timed(
+    def time(
         self, begins: Bools, way: Floats, left: Floats, interface: ReachInterface, vigour: float
     ) -> Drive:
         """Count a control step, and set the duration of movements that begin.
@@ -139,21 +136,22 @@ class Drive(NamedTuple):
         part = (wanted - way[arms, before]) / np.maximum(step, 1e-9)
         return (before + np.clip(part, 0.0, 1.0)) / (last + 1)
 
-    def targets(
+    def invert_servos(
         self, posture: Floats, turn: Floats, left: Floats, noise: Floats, interface: ReachInterface
     ) -> tuple[Floats, Drive]:
-        """Return joint targets that turn joints as wanted, and the memory.
+        """Return joint targets that turn joints by `turn`, and the drive.
 
         Where the angle left may be mere noise (of this standard deviation, (n, 1)), the target is
         the goal itself, because a servo that undoes noise in a control step follows the noise.
         """
         full = 0.97 * interface.speed_limit * interface.control_step
-        lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL, turn / turn_share(interface))
+        lead = turn / turn_share(interface)
+        lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL_LEAD, lead)
         if some(noise):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
             lead = np.where(noise > 0, left + trust * (lead - left), lead)
-        lead = bounded(lead, LONGEST)
+        lead = bounded(lead, LARGEST_LEAD)
         return posture + lead, self._replace(lead=lead)
 
 

@@ -1,18 +1,18 @@
-"""Imagination: a posture with the hand at the target, found by an internal model before moving.
+"""Imagination: a posture with the hand at the target, from an internal model, before moving.
 
-Several copies of the model start from different postures about the present one, and settle with
-their hand at the target.  The nearest posture is chosen: the one whose joints turn least, above all
-the joint that turns farthest.  A redundant arm has many postures for a target, and a single model
-settles in the one to which its own dynamics lead.  MMC networks have been used for planning by
-internal simulation before (Schilling and Cruse 2017).
+Several copies of the model start from postures around the present one, and settle with their hand
+at the target.  The nearest posture is chosen: the one whose joints turn least, above all the joint
+that turns farthest.  A redundant arm has many postures for a target, and a single model settles in
+the one to which its own dynamics lead.  MMC networks have been used for planning by internal
+simulation before (Schilling and Cruse 2017).
 
-Joints that are locked, or would go beyond a limit, are held.
+Joints that are locked, or would turn beyond a limit, are held.
 
-The internal model is a `Solver`: the MMC network, or damped least squares for comparison.  The
-network is the paper's, with the learned normalizer and with velocities.  A velocity acts as a
-momentum, and with less damping than the paper's (d just above (N + 1)/2, where the network still
-converges, and d_v = 2) the network settles in a third of the iterations: after 20 the median
-distance is 0.001 (kinematic network, d = 2.5: 0.013).
+The internal model is the MMC network, or damped least squares for comparison.  The network is the
+paper's, with the learned normalizer and with velocities.  A velocity acts as a momentum, and with
+less damping than the paper's (d just above (N + 1)/2, where the network still converges, and
+d_v = 2) the network settles in a third of the iterations: after 20 the median distance is 0.001
+(kinematic network, d = 2.5: 0.013).
 
 Literature: M. Schilling, H. Cruse (2017), ReaCog, a minimal cognitive controller based on
 recruitment of reactive systems, Front. Neurorobot. 11:3.
@@ -28,7 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some
-from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
+from mmc_gym.agents.body_model.forward_model import (
+    Bools,
+    Points,
+    as_vectors,
+    hand,
+    to_hand,
+    unit_vectors,
+)
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
@@ -37,13 +44,13 @@ from mmc_gym.network.embodied import Embodiment, embodied_run
 SPREAD = 1.0  # distance of the starts from the present posture, radians
 SETTLE = 30  # iterations in which the copies settle
 FOLLOW = 6  # iterations per control step in which the chosen posture follows the target
-NEAR = 0.002  # an imagined hand that is nearer to the target has settled, segment lengths
-BETTER = 0.1  # an imagined posture replaces the present goal if it is cheaper by more, radians
-MARGIN = 1e-3  # distance of targets from the borders of the reach, segment lengths
-TOTAL = 0.05  # weight of the sum of all turns, beside that of the joint that turns farthest
-ALLOWED = 0.01  # a posture may miss the target by so much without a cost, segment lengths
-MISSED = 20.0  # cost of what it misses beyond that, radians per segment length
-BEYOND = 1e-6  # a joint that is farther beyond a limit is held there, radians
+ON_TARGET = 0.002  # an imagined hand that is nearer to the target has settled, segment lengths
+LEAST_GAIN = 0.1  # an imagined posture replaces the goal if it is cheaper by more, radians
+REACH_MARGIN = 1e-3  # distance of targets from the borders of the reach, segment lengths
+TOTAL_WEIGHT = 0.05  # weight of the sum of all turns; that of the farthest one is 1
+FREE_MISS = 0.01  # a posture may miss the target by so much without a cost, segment lengths
+MISS_COST = 20.0  # cost of what it misses beyond that, radians per segment length
+LIMIT_SLACK = 1e-6  # a joint that is farther beyond a limit is held there, radians
 DAMPING = 0.1  # λ of damped least squares, segment lengths
 LONGEST_ERROR = 0.5  # longest error that counts in damped least squares, segment lengths
 
@@ -62,12 +69,12 @@ class ReachProblem(NamedTuple):
         return ReachProblem(self.joint_angles[chosen], self.aim[chosen], self.lengths[chosen], held)
 
 
-Solver: TypeAlias = Callable[[ReachProblem, int], Floats]
-"""An internal model: given a number of iterations, it returns the postures (..., N) reached."""
+InternalModel: TypeAlias = Callable[[ReachProblem, int], Floats]
+"""A function that returns the postures (..., N) after a number of iterations."""
 
 
-def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int) -> Floats:
-    """Run a network from rest in each posture: for a given network, a `Solver`.
+def settle_network(network: MMCNetwork, problem: ReachProblem, iterations: int) -> Floats:
+    """Run a network from rest in each posture: for a given network, an `InternalModel`.
 
     Beyond three segments the number of iterations grows with the square of the number of segments,
     because it takes longer until all segments are affected by the target.
@@ -76,16 +83,16 @@ def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int)
     if held is not None:
         is_held = np.asarray(held.any(axis=-1))
         if not every(is_held):  # each arm moves as it does alone
-            free = settled_network(network, problem.of(~is_held)._replace(held=None), iterations)
+            free = settle_network(network, problem.of(~is_held)._replace(held=None), iterations)
             angles = np.empty_like(joint_angles)
             angles[~is_held] = free
             if some(is_held):
-                angles[is_held] = settled_network(network, problem.of(is_held), iterations)
+                angles[is_held] = settle_network(network, problem.of(is_held), iterations)
             return angles
     iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
     # In single precision some processors round an arm's sums otherwise in another batch.
-    start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
-    clamps = network.inverse(_vectors(aim))
+    start = network.state_from_segments(as_vectors(lengths * unit_vectors(joint_angles)))
+    clamps = network.inverse(as_vectors(aim))
     if held is None and every(lengths == network.segment_lengths):
         settled = network.run(start, clamps, iterations)
     else:
@@ -95,13 +102,8 @@ def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int)
     return angles if held is None else np.where(held, joint_angles, angles)
 
 
-def _vectors(points: Points) -> Floats:
-    """Return points (...) as vectors, (..., 2)."""
-    return np.stack([points.real, points.imag], axis=-1)
-
-
 def least_squares(problem: ReachProblem, iterations: int) -> Floats:
-    """Iterate damped least squares, the other internal model.
+    """Iterate damped least squares: an `InternalModel`.
 
     In each iteration Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, with the error e shortened to `LONGEST_ERROR`.  They
     are half as many as given, because one costs more than an iteration of the network.
@@ -129,46 +131,46 @@ def pulled(jacobian: Points, error: Points, damping: float) -> Floats:
 
 
 class Imagination:
-    """Finds postures with the hand at a target."""
+    """The search for postures with the hand at a target."""
 
-    def __init__(self, interface: ReachInterface, solver: Solver, is_broad: bool) -> None:
+    def __init__(self, interface: ReachInterface, model: InternalModel, is_broad: bool) -> None:
         """Make the imagination of an arm, which starts from several postures if `is_broad`."""
-        self.interface, self.solver = interface, solver
+        self.interface, self.model = interface, model
         joints = len(interface.segment_lengths)
         self.offsets = start_offsets(joints) if is_broad else np.zeros((1, joints))
 
     def settle(self, problem: ReachProblem, iterations: int) -> Floats:
         """Return the postures in which models settle within the joint limits, (..., N)."""
-        postures = self.solver(problem, iterations)
+        postures = self.model(problem, iterations)
         within = self.interface.within_limits(postures)
-        is_beyond = np.abs(wrap_angle(postures - within)) > BEYOND
+        is_beyond = np.abs(wrap_angle(postures - within)) > LIMIT_SLACK
         again = np.asarray(is_beyond.any(axis=-1))
         if some(again):
             held = is_beyond if problem.held is None else problem.held | is_beyond
             stopped = problem._replace(joint_angles=within, held=held).of(again)
             within = within.copy()
-            within[again] = self.solver(stopped, iterations)
+            within[again] = self.model(stopped, iterations)
         return self.interface.within_limits(within)
 
-    def followed(self, goal: Floats, problem: ReachProblem) -> Floats:
+    def follow(self, goal: Floats, problem: ReachProblem) -> Floats:
         """Return the goal postures, improved where the hand misses the target, (n, N)."""
         if problem.held is not None:
             goal = np.where(problem.held, problem.joint_angles, goal)
-        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > NEAR
+        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > ON_TARGET
         if some(misses):
             moved = problem._replace(joint_angles=goal).of(misses)
             goal = goal.copy()
             goal[misses] = self.settle(moved, FOLLOW)
         return goal
 
-    def improved(self, goal: Floats, problem: ReachProblem) -> Floats:
+    def improve(self, goal: Floats, problem: ReachProblem) -> Floats:
         """Return the goal postures, or the best imagined ones where these are better, (n, N)."""
-        postures, costs = self.imagined(problem)
+        postures, costs = self.imagine(problem)
         cheapest = costs.argmin(axis=0), np.arange(len(goal))
-        is_better = costs[cheapest] < self.cost(problem, goal) - BETTER
+        is_better = costs[cheapest] < self.cost(problem, goal) - LEAST_GAIN
         return np.where(is_better[:, None], postures[cheapest], goal)
 
-    def imagined(self, problem: ReachProblem) -> tuple[Floats, Floats]:
+    def imagine(self, problem: ReachProblem) -> tuple[Floats, Floats]:
         """Return all imagined postures (starts, n, N), and their costs, (starts, n)."""
         joint_angles, aim, lengths, held = problem
         starts = joint_angles + self.offsets[:, None]
@@ -184,10 +186,10 @@ class Imagination:
         """Return the cost of turning to postures (..., n, N), radians, (..., n)."""
         turns = np.abs(self.interface.turn(problem.joint_angles, postures))
         missed = np.abs(hand(postures, problem.lengths) - problem.aim)
-        cost: Floats = turns.max(axis=-1) + TOTAL * turns.sum(axis=-1)
+        cost: Floats = turns.max(axis=-1) + TOTAL_WEIGHT * turns.sum(axis=-1)
         if self.interface.has_drive:  # the effort counts, and not when the last joint arrives
             cost = np.sqrt((turns * turns).sum(axis=-1))
-        return cost + MISSED * np.maximum(missed - ALLOWED, 0.0)
+        return cost + MISS_COST * np.maximum(missed - FREE_MISS, 0.0)
 
 
 def start_offsets(joints: int) -> Floats:
@@ -205,7 +207,7 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     """Return the points nearest to `aim` (...) that arms of these lengths (..., N) can reach."""
     distance, reach = np.abs(aim), lengths.sum(axis=-1)
     inner = np.maximum(2 * lengths.max(axis=-1) - reach, 0.0)
-    allowed = np.minimum(np.maximum(distance, inner + MARGIN), reach - MARGIN)
+    allowed = np.minimum(np.maximum(distance, inner + REACH_MARGIN), reach - REACH_MARGIN)
     if every(allowed == distance):
         return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)

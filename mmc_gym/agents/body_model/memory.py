@@ -1,28 +1,25 @@
 """Memory: what is identified in one movement is believed in the next ones, and forgotten.
 
 A belief x has the lengths of the segments, as differences from the given ones, the turn φ of the
-cursor about the place where a movement begins, and the angle δ by which the hand leaves the way
-that it should take, as in a field of forces.  It is the sum of states that learn and forget at
-rates of their own.  With what a movement shows beyond the belief, e, and a rest of t seconds after
-it,
+cursor about the place where a movement begins, and the angle δ by which the hand leaves the
+intended way, as in a field of forces.  It is the sum of states that learn and forget at their own
+rates.  With what a movement shows beyond the belief, e, and a rest of t seconds after it,
 
     x_i ← a_i^(1 + t) (x_i + b_i e),        x = Σ x_i,      a_i retention, b_i rate
 
 In the notation of Smith et al. (2006), A_i = a_i and B_i = a_i b_i without a rest; a second of
 rest counts as much as a movement.  Within the movement the agent acts on x + Σ b_i e for lengths
-and cursor, so for b = 1 and a = 0 it is an agent that learns all within a movement and keeps
-nothing.
+and cursor, so for b = 1 and a = 0 it learns all within a movement and keeps nothing.
 
 Evidence about the body is gathered in the coordinates of the belief, in which the body is as given
 if the belief is right: a hand seen at x counts as x̃ = e^{−iφ}(x − c) − Σ Δℓ_j u_j.  The angle δ is
 that of Σ v w̄ over the first half of a movement, where w is the displacement of the hand that a
-command intends, and v the one that follows.  Commands correct it in advance and ask for w e^{−iδr},
-where r is the share of the way that is left, so that the hand ends where it should.
+command intends, and v the one that follows.  Commands correct it in advance, intending w e^{−iδr},
+where r is the share of the way that is left, so that the hand ends at the target.
 
-By default a belief holds in all directions, and is learned from errors of any size.  As people
-have it, there is one for each direction θ of the target: what a movement towards θ' shows counts
-at θ by exp(−(θ − θ')²/2σ²), and if the error is an angle above a largest one, it counts as that
-(`Parts.width` is σ).
+By default a belief holds in all directions, and is learned from errors of any size.  As observed in
+people, there may be one for each direction θ of the target: what a movement towards θ' shows counts
+at θ by exp(−(θ − θ')²/2σ²), and an angle above a largest error counts as that (`Parts.width` is σ).
 
 Literature: M. A. Smith, A. Ghazizadeh, R. Shadmehr (2006), Interacting adaptive processes with
 different timescales underlie short-term motor learning, PLoS Biol. 4, e179.  J. W. Krakauer et al.
@@ -40,14 +37,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import where
-from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
 from mmc_gym.agents.body_model.body import Body
-from mmc_gym.agents.body_model.imagination import pulled
+from mmc_gym.agents.body_model.forward_model import Bools, Points, hand, to_hand, unit_vectors
+from mmc_gym.agents.body_model.imagination import ReachProblem, pulled
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats
 
 FIRM = 0.05  # damping of the correction, segment lengths
-DIRECTIONS = 144  # with a belief of their own, if it does not hold in all
+DIRECTIONS = 144  # that have a belief each, if it does not hold in all
 
 
 class Memory(NamedTuple):
@@ -64,7 +61,7 @@ class Memory(NamedTuple):
 
     @classmethod
     def start(cls, arms: int, joints: int, parts: Parts) -> Memory:
-        """Return the memory of arms that believe what they are given."""
+        """Return the memory of arms that believe the given body."""
         directions = DIRECTIONS if math.isfinite(parts.width) else 1
         states = np.zeros((arms, len(parts.rate), directions, joints + 2))
         return cls(states, np.zeros(arms, np.int64), *([np.zeros(arms, complex)] * 5))
@@ -81,10 +78,10 @@ class Memory(NamedTuple):
         turn: Points = np.exp(1j * self.belief[:, -2])
         return turn
 
-    def begun(
+    def begin_movement(
         self, begins: Bools, seen: Points, target: Points, joint_angles: Floats, given: Floats
     ) -> Memory:
-        """Return the memory where movements begin with the hand seen there, given ℓ (n, N)."""
+        """Return the memory where movements begin (`begins`, (n,)) with the hand `seen` there."""
         directions = self.states.shape[2]
         place = np.rint(np.angle(target - seen) / (2 * np.pi) * directions)
         new = self._replace(towards=place.astype(np.int64) % directions)
@@ -108,16 +105,15 @@ class Memory(NamedTuple):
         shift = rate * (beyond.shift - begin * (1 - beyond.turn)) + begin * (1 - part)
         return Body(lengths, self.turn * part, self.turn * shift + self.shift)
 
-    def moved(self, joint_angles: Floats, lengths: Floats, is_early: Bools) -> Memory:
+    def record_drift(self, problem: ReachProblem, is_early: Bools) -> Memory:
         """Return the memory after a control step, which counts for δ if `is_early`, (n,)."""
-        place = hand(joint_angles, lengths)
+        place = hand(problem.joint_angles, problem.lengths)
         drift = self.drift + is_early * (place - self.place) * self.intended.conj()
         return self._replace(place=place, drift=drift)
 
-    def corrected(
-        self, turn: Floats, joint_angles: Floats, aim: Points, lengths: Floats, held: Bools | None
-    ) -> tuple[Floats, Memory]:
-        """Return the turns of the joints that take the hand where `turn` would without drift."""
+    def correct_drift(self, turn: Floats, problem: ReachProblem) -> tuple[Floats, Memory]:
+        """Return turns that take the hand where `turn` would without drift, and the memory."""
+        joint_angles, aim, lengths, held = problem
         jacobian = 1j * to_hand(joint_angles, lengths)
         intended = (jacobian * turn).sum(axis=-1)
         left = np.abs(aim - self.place) / np.maximum(np.abs(aim - self.begin), 1e-9)
@@ -127,7 +123,7 @@ class Memory(NamedTuple):
         more = pulled(jacobian, intended * (against - 1), FIRM)
         return turn + more, self._replace(intended=intended)
 
-    def kept(self, beyond: Body, given: Floats, parts: Parts, rest: float) -> Memory:
+    def keep(self, beyond: Body, given: Floats, parts: Parts, rest: float) -> Memory:
         """Return the memory for the next movement after a rest of so many seconds."""
         turn, drift = (np.angle(one) * _share(one, parts) for one in (beyond.turn, self.drift))
         lengths = (beyond.lengths - given) * _share(beyond.turn, parts)[:, None]

@@ -1,24 +1,24 @@
-"""Obstacles: remembered where they stopped the arm, and ways round them.
+"""Obstacles: remembered where they stopped the arm, and routes round them.
 
-**Contacts.**  Obstacles are not seen, only felt: joints are asked to turn, but are pushed back.
+**Contacts.**  Obstacles are not seen, only felt: they push back joints that are commanded to turn.
 Where the arm rests or slides against an obstacle, one of its points does not move across its
 segment, although it should.  For points along the segments, with the normal n of their segment, the
-wanted speed w·n and the actual speed a·n follow from the turns asked of the joints and those seen.
-Over the last control steps,
+wanted speed w·n and the actual speed a·n follow from the commanded turns of the joints and those
+seen.  Over the last control steps,
 
     r = Σ |a·n| / Σ |w·n|
 
 is nearly 0 at the point of contact.  A load that gathers speed looks similar, but no point of it
 loses speed in a blow.  So a point that lost speed counts as in contact after a few control steps of
-small r, any other point only after many.  If all joints rest although they are asked to turn, the
-point that should move farthest is in contact.  There a disc of `RADIUS` is remembered, on the side
-to which the point should move.
+small r, any other point only after many.  If all joints rest in spite of their commands, the point
+that should move farthest is in contact.  There a disc of `RADIUS` is remembered, on the side to
+which the point should move.
 
-**Ways.**  Postures beside the straight ways to the target, and some anywhere, form a map of where
+**Routes.**  Postures near the straight ways to the target, and some anywhere, form a map of where
 the arm can be.  Legs between them that lead a segment into a remembered disc are left out, and the
-shortest way from the present posture to one with the hand at the target is taken (a probabilistic
+shortest route from the present posture to one with the hand at the target is taken (a probabilistic
 roadmap: Kavraki, Švestka, Latombe and Overmars 1996).  There may be more obstacles than are known,
-so a leg costs more the farther the arm moves in the plane.  Finally the postures on the way are
+so a leg costs more the farther the arm moves in the plane.  Finally the postures on the route are
 drawn towards the straight line, as far as that is free.
 
 Literature: L. E. Kavraki, P. Švestka, J.-C. Latombe, M. H. Overmars (1996), Probabilistic roadmaps
@@ -34,40 +34,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import some, where
-from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.forward_model import Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
-from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
 
 POINTS = np.arange(1, 13) / 12  # positions along a segment at which contacts are looked for
-LACKED = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians
-OWED = 0.015  # the same if all joints rest
-STILL = 0.002  # joints that turn by less in a control step rest, radians
+LACKED_TURN = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians
+LACKED_AT_REST = 0.015  # the same if all joints rest
+HELD_TURN = 0.002  # joints that turn by less in a control step rest, radians
 RECENT = 0.6  # share of the sums of speeds that remains after a control step
-WANTED, STOPPED = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
+WANTED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
 BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
 FADES = 0.9  # share of that loss which remains after a control step
-SHORT, LONG = 3, 16  # control steps of small r in contact, after a blow and without one
+TOUCHES_AFTER_BLOW = 3  # control steps of small r until a point that lost speed is in contact
+TOUCHES = 16  # the same of any other point
 LASTING = 10  # control steps at rest until an arm is in contact
 RADIUS = 0.28  # radius of an obstacle, with half the thickness of a segment, segment lengths
-MOST = 6  # number of discs that are remembered
+MOST_DISCS = 6  # number of discs that are remembered
 NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
 
-MARGIN = 0.02  # distance kept from a disc, segment lengths
+DISC_MARGIN = 0.02  # distance kept from a disc, segment lengths
 COMFORT = 0.15  # a leg costs more if it is nearer to a disc, segment lengths
 DISCOMFORT = 6.0  # weight of what it is nearer, radians per segment length
 STAGES = np.arange(1, 17) / 16  # shares of a leg at which it is checked
 EVERYWHERE = 64  # number of postures in the map that are drawn anywhere
-NEARBY = 96  # number of those beside the straight ways to the target
-BESIDE = 1.5  # how far beside, radians
+NEARBY = 96  # number of those near the straight ways to the target
+SCATTER = 1.5  # their largest distance from these, radians
 NEIGHBOURS = 8  # number of legs from each posture of the map
 GOALS = 24  # number of postures with the hand at the target
-LEG = 0.3  # cost of a leg beside its length, radians
+LEG = 0.3  # cost of a leg besides its length, radians
 HAZARD = 0.1  # cost of moving the ends of segments, radians per length
-LEGS = 5  # largest number of legs of a way
+LEGS = 5  # largest number of legs of a route
 ARRIVED = 0.3  # a leg is over when no joint is farther from its end, radians
-# Shares by which a posture on the way is moved towards the straight line past it.
+# Shares by which a posture on the route is moved towards the straight line past it.
 SHORTCUTS = np.array([1.0, 0.75, 0.5, 0.25, 0.0])
 TIGHTENED = 2  # how often all postures are moved
 
@@ -75,7 +76,7 @@ TIGHTENED = 2  # how often all postures are moved
 class Contacts(NamedTuple):
     """Memory of obstacles, and running sums about each point of the arm, (n, N · points)."""
 
-    discs: Points  # centres of the obstacles, `NOWHERE` if there are fewer, (n, MOST)
+    discs: Points  # centres of the obstacles, `NOWHERE` if there are fewer, (n, MOST_DISCS)
     wanted: Floats  # Σ |w·n|, segment lengths
     actual: Floats  # Σ |a·n|, segment lengths
     blow: Floats  # speed recently lost, segment lengths per control step
@@ -88,31 +89,20 @@ class Contacts(NamedTuple):
     def start(cls, arms: int, joints: int) -> Contacts:
         """Return the memory without obstacles."""
         sums, none = np.zeros((arms, joints * len(POINTS))), np.zeros(arms)
-        discs = np.full((arms, MOST), NOWHERE)
+        discs = np.full((arms, MOST_DISCS), NOWHERE)
         return cls(discs, sums, sums, sums, sums, still=none, met=none, is_new=none > 0)
 
-    def observed(
-        self,
-        before: PostureTrack,
-        posture: PostureTrack,
-        asked: Floats,
-        lengths: Floats,
-        counts: Bools,
-    ) -> Contacts:
-        """Return the memory after a control step between two postures.
-
-        Joints should have turned by `asked`.  Arms count that are seen in time and without noise
-        (`counts`, (n,)).
-        """
-        lack = np.abs(asked - posture.turn).max(axis=-1)
-        lacks = (lack > LACKED) & counts
-        is_still = (lack > OWED) & (np.abs(posture.turn).max(axis=-1) < STILL) & counts
+    def locate(self, step: LastStep, lengths: Floats, counts: Bools) -> Contacts:
+        """Return the memory after a control step of arms that count (`counts`, (n,))."""
+        turn, units = step.after.turn, unit_vectors(step.after.joint_angles)
+        lack = np.abs(step.commanded - turn).max(axis=-1)
+        lacks = (lack > LACKED_TURN) & counts
+        is_still = (lack > LACKED_AT_REST) & (np.abs(turn).max(axis=-1) < HELD_TURN) & counts
         if not some(lacks | is_still):
             return self._released() if some(self.wanted) or some(self.is_new) else self
-        units = unit_vectors(posture.joint_angles)
-        wanted = _across(units, lengths, asked)
-        actual = _across(units, lengths, posture.turn)
-        lost = (_across(units, lengths, before.turn) - actual) * np.sign(wanted)
+        wanted = _across(units, lengths, step.commanded)
+        actual = _across(units, lengths, turn)
+        lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(wanted)
         after = self._pressed(wanted, actual, lost, lacks[:, None], is_still)
         after = where(lacks | is_still, after, self._released())
         is_new, point = after._point_of_contact(wanted)
@@ -140,7 +130,7 @@ class Contacts(NamedTuple):
         """
         total = RECENT * self.wanted * lacks + np.abs(wanted)
         moved = RECENT * self.actual * lacks + np.abs(actual)
-        is_at_rest = (total > WANTED) & (moved < STOPPED * total) & lacks
+        is_at_rest = (total > WANTED_WAY) & (moved < STOPPED_RATIO * total) & lacks
         return self._replace(
             wanted=total,
             actual=moved,
@@ -151,7 +141,7 @@ class Contacts(NamedTuple):
 
     def _point_of_contact(self, wanted: Floats) -> tuple[Bools, NDArray[np.intp]]:
         """Return which arms are in contact, (n,), and with which of their points, (n,)."""
-        touches = self.rests >= np.where(self.blow > BLOW, SHORT, LONG)
+        touches = self.rests >= np.where(self.blow > BLOW, TOUCHES_AFTER_BLOW, TOUCHES)
         is_felt = touches.any(axis=-1)
         ratio = np.where(touches, self.actual / np.maximum(self.wanted, 1e-9), np.inf)
         point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(wanted).argmax(axis=-1))
@@ -163,7 +153,7 @@ class Contacts(NamedTuple):
         arms, distance = np.arange(len(disc)), np.abs(self.discs - disc[:, None])
         nearest = distance.argmin(axis=-1)
         is_known = distance[arms, nearest] < RADIUS
-        slot = np.where(is_known, nearest, self.met % MOST).astype(int)
+        slot = np.where(is_known, nearest, self.met % MOST_DISCS).astype(int)
         discs = self.discs.copy()
         discs[arms, slot] = np.where(is_known, (disc + self.discs[arms, slot]) / 2, disc)
         return self._replace(discs=discs, met=self.met + ~is_known)
@@ -187,20 +177,20 @@ def _across(units: Points, lengths: Floats, turn: Floats) -> Floats:
     return across.reshape(len(units), -1)
 
 
-class Plan(NamedTuple):
-    """Where an arm should go."""
+class Route(NamedTuple):
+    """The postures through which an arm should go."""
 
     goal: Floats  # posture with the hand at the target
     vias: Floats  # postures to go through before that, the last one first, (n, LEGS - 1, N)
     ahead: NDArray[np.intp]  # number of them that are still to be reached, (n,)
     begin: Floats  # posture in which the leg began, on the same turn as its end
-    aim: Points  # position of the hand for which the plan was made
+    aim: Points  # position of the hand for which the route was planned
     begins: Bools  # whether a movement begins now, (n,)
-    is_new: Bools  # whether the plan changes now, of a movement that begins or continues, (n,)
+    is_new: Bools  # whether the route changes now, of a movement that begins or continues, (n,)
 
     @classmethod
-    def start(cls, joint_angles: Floats, aim: Points) -> Plan:
-        """Return the plan to stay."""
+    def start(cls, joint_angles: Floats, aim: Points) -> Route:
+        """Return the route that stays."""
         vias = np.repeat(joint_angles[:, None], LEGS - 1, axis=1)
         ahead, no = np.zeros(len(aim), np.intp), np.zeros(len(aim), bool)
         return cls(joint_angles, vias, ahead, begin=joint_angles, aim=aim, begins=no, is_new=no)
@@ -211,8 +201,8 @@ class Plan(NamedTuple):
         via = self.vias[np.arange(len(self.ahead)), self.ahead - 1]
         return np.where((self.ahead > 0)[:, None], via, self.goal)
 
-    def arrived(self, interface: ReachInterface, joint_angles: Floats) -> Plan:
-        """Return the plan, with the next leg for arms whose posture ends one."""
+    def advance(self, interface: ReachInterface, joint_angles: Floats) -> Route:
+        """Return the route, with the next leg for arms whose posture ends one."""
         if not some(self.ahead):
             return self
         end = self.next
@@ -224,13 +214,16 @@ class Plan(NamedTuple):
 
 
 def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
-    """Return the distance of arms in postures (..., N) from the nearest of discs (M,), (...)."""
+    """Return the distance of arms from the nearest disc, (...).
+
+    Postures are (..., N), lengths (N,), and the centres of the discs (M,).
+    """
     units = unit_vectors(joint_angles)
     segments = lengths * units
     begin = np.cumsum(segments, axis=-1) - segments
-    to_disc = (discs - begin[..., None]) * units.conj()[..., None]
-    beside = to_disc.real - np.clip(to_disc.real, 0, lengths[:, None])
-    return np.hypot(beside, to_disc.imag).min(axis=(-1, -2))
+    to_disc = (discs - begin[..., None]) * units.conj()[..., None]  # along and across the segments
+    past_end = to_disc.real - np.clip(to_disc.real, 0, lengths[:, None])
+    return np.hypot(past_end, to_disc.imag).min(axis=(-1, -2))
 
 
 def room(
@@ -244,15 +237,15 @@ def room(
     """
     stages = start[..., None, :] + STAGES[:, None] * interface.turn(start, end)[..., None, :]
     begin = clearance(start, lengths, discs)[..., None]
-    needed = np.minimum(RADIUS + MARGIN, begin + 2 * MARGIN * STAGES)
+    needed = np.minimum(RADIUS + DISC_MARGIN, begin + 2 * DISC_MARGIN * STAGES)
     spare: Floats = (clearance(stages, lengths, discs) - needed).min(axis=-1)
     ends = np.cumsum(lengths * unit_vectors(stages), axis=-1)
     swept: Floats = np.abs(np.diff(ends, axis=-2)).sum(axis=(-1, -2))
     return spare, swept
 
 
-class Ways:
-    """Plans movements round the contacts that are remembered."""
+class RoadMap:
+    """The map on which routes round the remembered contacts are planned."""
 
     def __init__(self, imagination: Imagination) -> None:
         """Draw the map for the arm of an imagination."""
@@ -262,34 +255,35 @@ class Ways:
         anywhere = random.uniform(-np.pi, np.pi, (EVERYWHERE, joints))
         self.everywhere = self.interface.within_limits(anywhere)
         self.along = random.uniform(0, 1, (NEARBY, 1))
-        self.beside = random.uniform(-BESIDE, BESIDE, (NEARBY, joints))
+        self.scatter = random.uniform(-SCATTER, SCATTER, (NEARBY, joints))
 
-    def planned(self, plan: Plan, contacts: Contacts, problem: ReachProblem, begins: Bools) -> Plan:
-        """Return the plans, new where a movement begins, and round the known contacts."""
-        plan = plan._replace(
-            begin=np.where(begins[:, None], problem.joint_angles, plan.begin),
-            ahead=np.where(begins, 0, plan.ahead),
+    def plan(self, route: Route, contacts: Contacts, problem: ReachProblem, begins: Bools) -> Route:
+        """Return the routes, new where a movement begins, and round the known contacts."""
+        route = route._replace(
+            goal=route.goal.copy(),
+            vias=route.vias.copy(),
+            ahead=np.where(begins, 0, route.ahead),
+            begin=np.where(begins[:, None], problem.joint_angles, route.begin),
         )
-        plan = plan._replace(goal=plan.goal.copy(), vias=plan.vias.copy())
         for arm in np.flatnonzero(begins & (contacts.met > 0)):
             discs = contacts.discs[arm]
-            way = self._way_round(problem.of(np.array([arm])), discs[discs != NOWHERE])
-            if way is not None:
-                plan.goal[arm] = way[-1]
-                plan.ahead[arm] = len(way) - 1
-                plan.vias[arm, : len(way) - 1] = way[-2::-1]
-        return plan
+            ends = self._ends_of_legs(problem.of(np.array([arm])), discs[discs != NOWHERE])
+            if ends is not None:
+                route.goal[arm] = ends[-1]
+                route.ahead[arm] = len(ends) - 1
+                route.vias[arm, : len(ends) - 1] = ends[-2::-1]
+        return route
 
-    def _way_round(self, problem: ReachProblem, discs: Points) -> Floats | None:
-        """Return the ends of the legs in order, (legs, N); None if no way is found."""
+    def _ends_of_legs(self, problem: ReachProblem, discs: Points) -> Floats | None:
+        """Return the ends of the legs of a route, (legs, N); None if there is none."""
         start, lengths = problem.joint_angles[0], problem.lengths[0]
-        goals, costs = (values[:, 0] for values in self.imagination.imagined(problem))
+        goals, costs = (values[:, 0] for values in self.imagination.imagine(problem))
         goals = goals[np.argsort(costs)[:GOALS]]
         goals = goals[clearance(goals, lengths, discs) > RADIUS]
         if not len(goals):
             return None
         towards = self.interface.turn(start, goals)[np.arange(NEARBY) % len(goals)]
-        nearby = self.interface.within_limits(start + self.along * towards + self.beside)
+        nearby = self.interface.within_limits(start + self.along * towards + self.scatter)
         vias = np.concatenate([nearby, self.everywhere])
         if problem.held is not None:
             vias = np.where(problem.held[0], start, vias)
@@ -301,10 +295,10 @@ class Ways:
         chosen = _shortest(cost, np.arange(1, first_via))
         if chosen is None:
             return None
-        way = nodes[chosen]
+        nodes = nodes[chosen]
         for _ in range(TIGHTENED):
-            self._tighten(way, lengths, discs)
-        return way[1:]
+            self._tighten(nodes, lengths, discs)
+        return nodes[1:]
 
     def _legs(self, nodes: Floats, first_via: int) -> tuple[NDArray[np.intp], ...]:
         """Return the legs of a map, as the indices of the nodes at their two ends, (legs,) each.
@@ -329,31 +323,31 @@ class Ways:
         cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
         return np.where(spare > 0, cost, np.inf)
 
-    def _tighten(self, way: Floats, lengths: Floats, discs: Points) -> None:
-        """Move the postures on a way (legs + 1, N) to where it is cheaper, in place."""
-        for k in range(1, len(way) - 1):
-            before, via, after = way[k - 1 : k + 2]
+    def _tighten(self, nodes: Floats, lengths: Floats, discs: Points) -> None:
+        """Move the postures on a route (legs + 1, N) to where it is cheaper, in place."""
+        for k in range(1, len(nodes) - 1):
+            before, via, after = nodes[k - 1 : k + 2]
             here, past = self.interface.turn(before, via), self.interface.turn(before, after)
             share = np.clip((here @ past) / np.maximum(past @ past, 1e-9), 0, 1)
             tried = via + SHORTCUTS[:, None] * (share * past - here)
             cost = self._cost(before, tried, lengths, discs)
             cost = cost + self._cost(tried, after, lengths, discs)
             if np.isfinite(cost.min()):
-                way[k] = tried[cost.argmin()]
+                nodes[k] = tried[cost.argmin()]
 
 
 def _shortest(cost: Floats, ends: NDArray[np.intp]) -> list[int] | None:
-    """Return the nodes on the cheapest way from node 0 to one of `ends`; None if there is none.
+    """Return the nodes on the cheapest route from node 0 to one of `ends`; None if there is none.
 
-    Legs between nodes cost `cost` (nodes, nodes), infinite where there is none.  A way of more
+    Legs between nodes cost `cost` (nodes, nodes), infinite where there is none.  A route of more
     than `LEGS` legs does not count.
     """
     from scipy.sparse.csgraph import dijkstra  # `import mmc_gym` loads no scipy
 
     [costs], [previous] = dijkstra(cost, indices=[0], return_predecessors=True)
     node = int(ends[costs[ends].argmin()])
-    way = [node]
+    nodes = [node]
     while node > 0:  # scipy's mark for no predecessor is negative
         node = int(previous[node])
-        way.insert(0, node)
-    return way if node == 0 and len(way) <= LEGS + 1 else None
+        nodes.insert(0, node)
+    return nodes if node == 0 and len(nodes) <= LEGS + 1 else None

@@ -1,4 +1,4 @@
-"""The parts of a body agent that can be switched, and how it moves and learns."""
+"""The switches of a body agent's parts, and how it moves and learns."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from mmc_gym._errors import require, require_number, require_numbers, spelt
 @spelt
 @dataclass(frozen=True)
 class Parts:
-    """Which parts an agent has, and how vigorous it is."""
+    """Which parts an agent has, and how it moves and learns."""
 
     filters: bool = True  #: whether noise is filtered, and moving targets are predicted
     bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
     #: whether lengths and a turned cursor are identified; else the given ones are used
     identifies_body: bool = True
-    finds_locks: bool = True  #: whether locked joints are found
+    finds_locks: bool = True  #: whether locked joints are identified
     imagines: bool = True  #: whether several models settle; else one, from the present posture
     drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
-    avoids: bool = True  #: whether contacts are remembered, and ways round them planned
+    avoids: bool = True  #: whether contacts are remembered, and routes round them planned
     vigour: float = 1.0  #: 1 as fast as servos allow, 0 as people: slower, with a bell-shaped speed
-    #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
-    #: several states, such as a fast one and a slow one, together at most 1.  At 1 all is learned
-    #: within the movement.
+    #: share of a movement's error that is learned, see `body_model.memory`; one number for each
+    #: state, such as a fast and a slow one, together at most 1.  At 1 all is learned within the
+    #: movement.
     rate: tuple[float, ...] = (1.0,)
-    #: share of it that is left for the next movement, of each state.  At 0 nothing is.
-    retention: tuple[float, ...] = (0.0,)
-    #: of the directions for which it is learned, about the one where the target is when the
-    #: movement begins: standard deviation of a Gaussian, degrees
+    retention: tuple[float, ...] = (0.0,)  #: share of it kept for the next movement, of each state
+    #: of the directions for which it is learned, about that of the target when the movement begins:
+    #: standard deviation of a Gaussian, degrees
     width: float = math.inf
-    largest_error: float = math.inf  #: angle beyond which an error counts no more, degrees
+    largest_error: float = math.inf  #: larger errors count as this angle, degrees
 
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"

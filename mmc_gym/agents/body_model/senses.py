@@ -12,16 +12,15 @@ an arm, and Q is the mean square of Δt (v − v′)/2:
     P ← P + Q,     K = P / (P + R),     q̂ ← q̂ + Δt (v + v′)/2 + K · innovation,     P ← (1 − K) P
 
 **Target.**  Third differences of a smooth movement vanish, so those of the target are noise: for
-white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  Two predictors run side
-by side, and the better one is used.  For a target at rest it is the mean since the last jump, each
-observation weighted by its precision.  For a moving target it is the parabola of least squares,
-discounted by θ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
+white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  The better of two
+predictors is used.  For a target at rest it is the mean since the last jump, each observation
+weighted by its precision.  For a moving target it is the parabola of least squares, discounted by θ
+a step (the fading-memory filter; Morrison 1969, Brookner 1998),
 
     e = z − ẑ,     ẑ ← ẑ + (1 − θ³) e
     ẑ′ ← ẑ′ + 3/2 (1 − θ)² (1 + θ) e,     ½ẑ″ ← ½ẑ″ + ½ (1 − θ)³ e        time in control steps
 
-Noise calls for a long memory, and jerk J for a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both
-errors.
+Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
 
 **Delay.**  It is the time from the first command that should be felt to the first movement that
 is felt.  An old posture is run forward through the commands sent since, by a model of the servos
@@ -40,17 +39,25 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import every, some, where
-from mmc_gym.agents.body_model.arm import Bools, Points, commanded_turn
+from mmc_gym.agents.body_model.forward_model import (
+    Bools,
+    Points,
+    as_points,
+    command_of,
+    commanded_turn,
+)
+from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats, wrap_angle
-from mmc_gym.interface import ReachInterface
+from mmc_gym.interface import ReachInterface, Seen, Sensed
 
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
 NOISE_RATE = 0.1  # rate at which the estimates of noise follow the observations
 LARGEST = 0.3  # largest innovation that counts as noise, radians
+CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
 JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
-TARGET_JUMP = 0.15  # distance from where it was expected of a target that jumps, in lengths
+TARGET_JUMP = 0.15  # a target that is farther from its prediction has jumped, segment lengths
 SETTLED = 4  # observations after a jump until the third difference is noise alone
 SAME = 1e-5  # resolution of observed positions (float32), segment lengths
 
@@ -58,8 +65,66 @@ LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
-CLEARLY = 5.0  # commands that ask for this many times the onset should be felt
+CLEARLY = 5.0  # a commanded turn of this many times the onset should be felt
 EARLY = 6  # observations in which noise may still be taken for a movement
+
+
+class Senses(NamedTuple):
+    """What is seen: the posture, the target, and how late."""
+
+    posture: PostureTrack
+    target: TargetTrack
+    delay: Delay
+
+    @classmethod
+    def start(cls, interface: ReachInterface, sensed: Sensed) -> Senses:
+        """Return the senses after the first observation, of arms at rest."""
+        joint_angles = sensed.joint_angles
+        return cls(
+            PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
+            TargetTrack.start(as_points(sensed.target)),
+            Delay.start(command_of(interface, joint_angles, joint_angles)),
+        )
+
+    def update(self, seen: Seen, interface: ReachInterface, parts: Parts) -> Senses:
+        """Return the senses after one more observation; movement, and so delay, is seen last."""
+        joint_angles, speeds, place = seen.joint_angles, seen.joint_speeds, as_points(seen.target)
+        if parts.filters:
+            step = interface.control_step
+            posture = self.posture.filter(joint_angles, speeds, step)
+            target = self.target.filter(place, step)
+        else:
+            posture = self.posture.accept(joint_angles, speeds)
+            target = self.target.accept(place)
+        delay = self.delay.estimate(self.posture, posture)
+        if not parts.bridges_delay:  # locks still depend on when a movement is felt
+            delay = delay._replace(late=self.delay.late)
+        return Senses(posture, target, delay)
+
+    def record(self, command: Floats, interface: ReachInterface) -> Senses:
+        """Return the senses after commands were sent."""
+        return self._replace(delay=self.delay.record(command, self.posture, interface))
+
+    def last_step(self, before: Senses, interface: ReachInterface) -> LastStep:
+        """Return what is seen of the last control step, after what was seen `before`."""
+        commands, start = self.delay.commands_seen(), before.posture
+        return LastStep(
+            before=start,
+            after=self.posture,
+            commanded=commanded_turn(interface, start.joint_angles, commands),
+            is_felt=self.delay.is_felt,
+            is_clear=(self.delay.late == 0) & (self.posture.deviation[:, 0] < CLEAR),
+        )
+
+
+class LastStep(NamedTuple):
+    """What is seen of the last control step, to be compared with its command."""
+
+    before: PostureTrack
+    after: PostureTrack
+    commanded: Floats  # how far the command should have turned the joints
+    is_felt: Bools  # whether a movement has been seen in this episode, (n,)
+    is_clear: Bools  # whether the arm is seen in time and without noise, (n,)
 
 
 class PostureTrack(NamedTuple):
@@ -79,7 +144,7 @@ class PostureTrack(NamedTuple):
         still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
         return cls(joint_angles, still, joint_angles, speeds, noise=none, doubt=none, age=none + 1)
 
-    def observed(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
+    def filter(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
         """Return the estimate after one more observation, a control step later."""
         half = control_step / 2
         turn: Floats = half * (speeds + self.speeds)
@@ -101,8 +166,8 @@ class PostureTrack(NamedTuple):
         after = self._turned(turn, joint_angles, speeds)
         return after._replace(noise=noise, doubt=(1 - gain) * doubt)
 
-    def unfiltered(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
-        """Return the estimate after one more observation that is taken to be exact."""
+    def accept(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
+        """Return the estimate after one more observation, taken as exact."""
         return self._turned(wrap_angle(joint_angles - self.joint_angles), joint_angles, speeds)
 
     def _turned(self, turn: Floats, seen: Floats, speeds: Floats) -> PostureTrack:
@@ -155,7 +220,7 @@ class TargetTrack(NamedTuple):
             is_moving=zero > 0,
         )
 
-    def observed(self, target: Points, control_step: float) -> TargetTrack:
+    def filter(self, target: Points, control_step: float) -> TargetTrack:
         """Return the estimate after one more observation, a control step later."""
         age, seen = self.age + 1, self.seen + 1
         stays = np.abs(target[:, None] - self.history).max(axis=-1) < SAME
@@ -217,11 +282,11 @@ class TargetTrack(NamedTuple):
         rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
         return self.noise + rate * (third - self.noise)
 
-    def unfiltered(self, target: Points) -> TargetTrack:
-        """Return the estimate after one more observation that is taken to be exact, at rest."""
+    def accept(self, target: Points) -> TargetTrack:
+        """Return the estimate after one more observation, taken as exact and at rest."""
         return self._replace(mean=target, has_jumped=np.abs(target - self.mean) > TARGET_JUMP)
 
-    def ahead(self, steps: Floats) -> Points:
+    def predict(self, steps: Floats) -> Points:
         """Return where the target will be some control steps (n,) after the observation."""
         if not some(self.is_moving):
             return self.mean
@@ -249,7 +314,7 @@ class Delay(NamedTuple):
         zero = np.zeros(len(command))
         return cls(held, due=zero, late=zero, is_felt=zero > 0)
 
-    def observed(self, before: PostureTrack, posture: PostureTrack) -> Delay:
+    def estimate(self, before: PostureTrack, posture: PostureTrack) -> Delay:
         """Return the estimate after one more observation of the posture.
 
         Values that repeat exactly show no movement, because even noise would change them.
@@ -265,7 +330,7 @@ class Delay(NamedTuple):
         due = self.due + (self.due > 0)
         return self._replace(due=due, late=late, is_felt=is_felt)
 
-    def sent(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
+    def record(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
         """Return the estimate after commands were sent."""
         commands = np.concatenate([self.commands[:, 1:], command[:, None]], axis=1)
         due = self.due
@@ -275,7 +340,7 @@ class Delay(NamedTuple):
             due = np.where(due > 0, due, np.abs(turn).max(axis=-1) > felt_from)
         return self._replace(commands=commands, due=due)
 
-    def command_then(self) -> Floats:
+    def commands_seen(self) -> Floats:
         """Return the commands that led to the last observation."""
         if not some(self.late):
             return self.commands[:, -1]

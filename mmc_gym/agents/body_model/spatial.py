@@ -5,10 +5,10 @@ hinges before it: x = Σ (1 + s_i) R_i(q) a_i + c.  By which shares s_i links ar
 follows from the seen hand by least squares.  Hypotheses leave nothing free, one link, or all, and
 are compared as in `body`; the offset c follows what is left.
 
-**Locks.**  A joint that hardly turns while it is asked to is held in the internal model.
+**Locks.**  A joint that hardly turns in spite of its commands is held in the internal model.
 
 **Imagination.**  The model settles from the present posture and from the last goal; if the hand
-still misses the target, also from postures around.  The nearest posture that reaches is the goal.
+still misses the target, also from postures around.  The goal is the nearest posture that reaches.
 """
 
 from __future__ import annotations
@@ -22,31 +22,33 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym.agents.base import FeedbackAgent
-from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
+from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.agents.body_model.imagination import TOTAL_WEIGHT
 from mmc_gym.agents.body_model.parts import Parts
-from mmc_gym.geometry import Floats
+from mmc_gym.geometry import Floats, damped_least_squares
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.robots import HingeArm, HingeNetwork
 
-Solver: TypeAlias = Callable[[HingeArm, Floats, Floats, Bools, float], Floats]
-"""Postures (m, n) with the hand at a target (3,) within a tolerance, the last argument.
+SpatialModel: TypeAlias = Callable[[HingeArm, Floats, Floats, Bools, float], Floats]
+"""A function that returns postures (m, n) with the hand at a target (3,), within a tolerance.
 
 Joints start at angles (m, n); some of them, (n,), keep these.
 """
 
-FORGET = 0.02  # share of the sums that is forgotten in a control step
-EXACT = 1e-3  # negligible error, shares of the reach
-PRIOR = 0.1  # likely share by which a link is longer, where its length leaves an error of `EXACT`
-OFFSET_RATE = 0.3  # rate at which the offset follows the errors
-STILL, REST = 0.12, 0.006  # a joint rests that turns by less, shares of what was asked or radians
-ASKED = 0.12  # turn that is asked of a joint at rest until it is taken as locked, radians
+FORGET_LINKS = 0.02  # share of the sums that is forgotten in a control step
+EXACT_SHARE = 1e-3  # negligible error, shares of the reach
+PRIOR = 0.1  # likely share by which a link is longer, where its length leaves a negligible error
+LINK_OFFSET_RATE = 0.3  # rate at which the offset follows the errors
+MOVED_SHARE = 0.12  # a joint rests that turns by a smaller share of the commanded turn
+MOVED_TURN = 0.006  # and so does one that turns by less, radians
+HELD_AFTER = 0.12  # commanded turn of a resting joint until it is taken as locked, radians
 SUCCESS = 0.03  # success distance if none is given, shares of the reach
-NEAR, ALLOWED = 0.1, 0.8  # tolerance of the imagined hand, and miss without a cost, shares of that
-MISSED = 100.0  # cost of what a posture misses beyond that, radians per reach
-TOTAL = 0.05  # weight of the sum of all turns, beside that of the joint that turns farthest
-STARTS, SPREAD = 16, 1.0  # postures around the present one, and how far off, radians
-DAMPING = 0.1  # λ of damped least squares, shares of the reach
+TOLERANCE_SHARE = 0.1  # tolerance of the imagined hand, shares of the success distance
+FREE_SHARE = 0.8  # what a posture may miss without a cost, shares of the success distance
+MISS_COST_PER_REACH = 100.0  # cost of what a posture misses beyond that, radians per reach
+AROUND, AROUND_SPREAD = 16, 1.0  # postures around the present one, and how far off, radians
+DAMPING_SHARE = 0.1  # λ of damped least squares, shares of the reach
 
 
 class SpatialState(NamedTuple):
@@ -54,7 +56,7 @@ class SpatialState(NamedTuple):
 
     joint_angles: Floats  # as last seen, (m, n)
     goal: Floats  # posture to which the arm turned then, (m, n)
-    waited: Floats  # turns that were asked of a joint since it rests, (m, n)
+    waited: Floats  # turns commanded of a joint since it rests, (m, n)
     looks: Floats  # observations, (m,)
     sums: Floats  # Σ WᵀW, (m, n + 2, n + 2)
     shares: Floats  # s, (m, n + 1)
@@ -66,17 +68,17 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
 
     is_in_space = True
 
-    def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts) -> None:
+    def __init__(self, interface: ReachInterface, model: SpatialModel, parts: Parts) -> None:
         """Make the agent; `parts` switch links, locks and imagination off.
 
         It cannot act for an arm in the plane, or under torque control.
         """
         super().__init__(interface)
-        self.solver, self.parts, self.arm = solver, parts, interface.arm
+        self.model, self.parts, self.arm = model, parts, interface.arm
         self.reach = np.linalg.norm(links_of(self.arm), axis=1).sum()
         self.within = interface.success_distance or SUCCESS * self.reach
-        shape = STARTS, self.arm.joint_count
-        self.around = np.random.default_rng(0).normal(0.0, SPREAD, shape)
+        shape = AROUND, self.arm.joint_count
+        self.around = np.random.default_rng(0).normal(0.0, AROUND_SPREAD, shape)
 
     @override
     def start(self, sensed: Sensed) -> SpatialState:
@@ -88,51 +90,53 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
 
     @override
     def respond(self, state: SpatialState, seen: Seen) -> tuple[NDArray[np.float32], SpatialState]:
-        state = self._felt(state, seen.joint_angles)
+        state = self._observe_turns(state, seen.joint_angles)
         if self.parts.identifies_body:
-            state = self._identified(state, seen.hand)
-        goals = [self._imagined(state, target, arm) for arm, target in enumerate(seen.target)]
+            state = self._identify_links(state, seen.hand)
+        goals = [self._imagine(state, target, arm) for arm, target in enumerate(seen.target)]
         state = state._replace(goal=np.reshape(goals, seen.joint_angles.shape))
         return self.interface.act(state.goal, seen), state
 
-    def _felt(self, state: SpatialState, joint_angles: Floats) -> SpatialState:
+    def _observe_turns(self, state: SpatialState, joint_angles: Floats) -> SpatialState:
         """Return the state after postures were seen, (m, n)."""
         farthest = self.interface.speed_limit * self.interface.control_step
-        asked = np.abs(state.goal - state.joint_angles).clip(max=farthest)
-        moves = np.abs(joint_angles - state.joint_angles) > np.maximum(STILL * asked, REST)
-        more = asked * (self.parts.finds_locks & (asked > REST))
+        commanded = np.abs(state.goal - state.joint_angles).clip(max=farthest)
+        turned = np.abs(joint_angles - state.joint_angles)
+        more = commanded * (self.parts.finds_locks & (commanded > MOVED_TURN))
+        moves = turned > np.maximum(MOVED_SHARE * commanded, MOVED_TURN)
         waited = np.where(moves, 0.0, state.waited + more)
         return state._replace(joint_angles=joint_angles, waited=waited, looks=state.looks + 1)
 
-    def _identified(self, state: SpatialState, hand: Floats) -> SpatialState:
+    def _identify_links(self, state: SpatialState, hand: Floats) -> SpatialState:
         """Return the state with links and offset, after hands were seen, (m, 3)."""
         columns = turned_links(self.arm, state.joint_angles)
         error = hand - columns.sum(axis=-1)
         w = np.concatenate([columns, error[..., None]], axis=-1)
-        sums = (1 - FORGET) * state.sums + np.swapaxes(w, -1, -2) @ w
-        exact = (EXACT * self.reach) ** 2
+        sums = (1 - FORGET_LINKS) * state.sums + np.swapaxes(w, -1, -2) @ w
+        exact = (EXACT_SHARE * self.reach) ** 2
         shares = np.array([likely_shares(*pair, exact) for pair in zip(sums, state.looks)])
         left = error - (columns * shares[:, None]).sum(axis=-1)
-        rate = np.maximum(OFFSET_RATE, 1 / state.looks)[:, None]
+        rate = np.maximum(LINK_OFFSET_RATE, 1 / state.looks)[:, None]
         offset = state.offset + rate * (left - state.offset)
         return state._replace(sums=sums, shares=shares, offset=offset)
 
-    def _imagined(self, state: SpatialState, target: Floats, index: int) -> Floats:
+    def _imagine(self, state: SpatialState, target: Floats, index: int) -> Floats:
         """Return the goal posture (n,) of one of the arms, for a target (3,)."""
-        now, goal, held = state.joint_angles[index], state.goal[index], state.waited[index] > ASKED
+        now, goal = state.joint_angles[index], state.goal[index]
+        held = state.waited[index] > HELD_AFTER
         arm, aim = lengthened(self.arm, state.shares[index]), target - state.offset[index]
         postures = np.empty((0, len(now)))
         for starts in (np.array([now, goal]), np.clip(now + self.around, *arm.limits.T)):
             starts = np.where(held, now, starts)
-            found = self.solver(arm, aim, starts, held, NEAR * self.within)
+            found = self.model(arm, aim, starts, held, TOLERANCE_SHARE * self.within)
             postures = np.concatenate([postures, found])
             missed = np.linalg.norm(arm.forward(postures)[:, :3, 3] - aim, axis=-1)
-            beyond = np.maximum(missed - ALLOWED * self.within, 0.0) / self.reach
+            beyond = np.maximum(missed - FREE_SHARE * self.within, 0.0) / self.reach
             if not self.parts.imagines or not beyond.all():
                 break
         turns = np.abs(postures - now)
-        cost = turns.max(axis=-1) + TOTAL * turns.sum(axis=-1) + MISSED * beyond
-        best: Floats = postures[cost.argmin()]
+        cost = turns.max(axis=-1) + TOTAL_WEIGHT * turns.sum(axis=-1)
+        best: Floats = postures[(cost + MISS_COST_PER_REACH * beyond).argmin()]
         return best
 
 
@@ -172,10 +176,10 @@ def likely_shares(sums: Floats, looks: float, exact: float) -> Floats:
     return best
 
 
-def settled_network(
+def settle_network(
     arm: HingeArm, target: Floats, starts: Floats, held: Bools, tolerance: float
 ) -> Floats:
-    """Let the network settle from each start: a `Solver`."""
+    """Let the network settle from each start: a `SpatialModel`."""
     network = HingeNetwork(arm, damping=0.7 * arm.joint_count, velocity_decay=0.5)
     targets = np.tile(target, (len(starts), 1))
     places = {int(joint): starts[:, joint] for joint in np.flatnonzero(held)}
@@ -186,8 +190,8 @@ def settled_network(
 def least_squares(
     arm: HingeArm, target: Floats, starts: Floats, held: Bools, tolerance: float
 ) -> Floats:
-    """Iterate Δq = Jᵀ(JJᵀ + λ²I)⁻¹e within the limits, at most 100 times: the other `Solver`."""
-    damping = (DAMPING * np.linalg.norm(links_of(arm), axis=1).sum()) ** 2 * np.eye(3)
+    """Iterate damped least squares within the limits, at most 100 times: a `SpatialModel`."""
+    damping = DAMPING_SHARE * np.linalg.norm(links_of(arm), axis=1).sum()
     for _ in range(100):
         _, axes, points, hand = arm.frames(starts)
         error = target - hand[:, :3, 3]
@@ -195,6 +199,6 @@ def least_squares(
             break
         lever = np.cross(axes, hand[:, None, :3, 3] - points)
         lever *= ~held[:, None]
-        pull = np.linalg.solve(np.swapaxes(lever, -1, -2) @ lever + damping, error[..., None])
-        starts = np.clip(starts + (lever @ pull)[..., 0], *arm.limits.T)
+        turns = damped_least_squares(np.swapaxes(lever, -1, -2), error, damping)
+        starts = np.clip(starts + turns, *arm.limits.T)
     return starts

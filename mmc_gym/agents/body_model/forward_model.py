@@ -1,9 +1,9 @@
-"""The arm as agents are given it: its segments and its servos.
+"""The forward model: where a posture takes the hand, and a command the joints.
 
-In this folder all arrays lead with n arms, each of N joints.  Joint angles and turns are in radians
-and segment lengths in lengths, both (n, N); speeds are in rad/s, (n, N).  Points and vectors of the
-plane are complex numbers x + iy, (n,), because multiplication rotates them.  Time is in control
-steps.  Exceptions are stated.
+In this folder arrays lead with n arms, each of N joints.  Joint angles, turns and segment lengths
+are (n, N); angles are in radians, speeds in rad/s, times in control steps.  Points and vectors of
+the plane are complex numbers x + iy, (n,), because multiplication rotates them.  Exceptions are
+stated.
 """
 
 from __future__ import annotations
@@ -19,6 +19,16 @@ from mmc_gym.interface import ReachInterface
 
 Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]
+
+
+def as_points(vectors: Floats) -> Points:
+    """Return vectors (..., 2) as points, (...)."""
+    return vectors.view(np.complex128)[..., 0]
+
+
+def as_vectors(points: Points) -> Floats:
+    """Return points (...) as vectors, (..., 2)."""
+    return np.stack([points.real, points.imag], axis=-1)
 
 
 def unit_vectors(joint_angles: Floats) -> Points:
@@ -38,11 +48,10 @@ def to_hand(joint_angles: Floats, lengths: Floats) -> Points:
 
 
 def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return the command that the servos get.
+    """Return the command that the servos get, (..., N).
 
     Under position control it is the target.  Under delta and velocity control it is the turn from
-    the angle at which the joint was believed to be, so where the joint ends depends on where it is
-    in fact.
+    the believed joint angles, so where a joint ends depends on its true angle.
     """
     if interface.control == "joint_position":
         return joint_targets
@@ -52,15 +61,14 @@ def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: F
 def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
     """Return how far commands turn joints in a control step, radians, (..., N).
 
-    A position servo asks for a speed proportional to the angle that is left, up to its limit.  In a
-    control step Δt it turns a joint at q with the target c by about
+    The speed of a position servo is proportional to the angle left, up to a limit.  In a control
+    step Δt it turns a joint at q with the target c by about
 
         Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
 
-    Joints turn the short way round, or the way that joint limits allow.  The model leaves out
-    inertia and torque limits, so a heavy or loaded arm lags behind it.  Under `joint_delta` a
-    target is never far ahead, so joints stay below full speed.  Under `joint_velocity` a joint
-    keeps one speed during the step.
+    Inertia and torque limits are left out, so a heavy or loaded arm lags behind.  Under
+    `joint_delta` a target is never far ahead, so joints stay below full speed.  Under
+    `joint_velocity` a joint keeps one speed during the step.
 
     >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
     >>> commanded_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
