@@ -64,17 +64,28 @@ _DAMAGED = (
 )
 # Entries that a policy is made of; no others in a zip file are unpickled.
 _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
+# The last observation before normalization: set by a training behind VecNormalize, and by every
+# off-policy training.
+_ORIGINAL = "_last_original_obs"
 _MEMBER_MOST = 200 * 2**20  # bytes of an entry of a zip file, unpacked
-_LAST = "_last_obs"  # the last observation of its training, as it saw it
 
 
-class World(NamedTuple):
+class TrainingEnvironment(NamedTuple):
     """The environment that a model was trained in; None where it is not known."""
 
     control: Control | None = None  #: its control mode
     body: ArmParameters | None = None  #: its arm, without perturbations
     wrappers: tuple[str, ...] = ()  #: names of wrappers that change observations or actions
-    others: tuple[str, ...] = ()  #: your own wrappers of these that keep both spaces
+    own_wrappers: tuple[str, ...] = ()  #: names of yours that may, and keep both spaces
+
+    @classmethod
+    def of(cls, env: Any) -> TrainingEnvironment:
+        """Return what is known of an environment, wrapped or not."""
+        try:
+            control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
+        except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
+            return cls()
+        return cls(control, body, _changing_wrappers(env), _own_wrappers(env))
 
 
 class ModelAgent(Agent[Any]):
@@ -86,7 +97,13 @@ class ModelAgent(Agent[Any]):
     training_seed = None
 
     def __init__(
-        self, policy: Any, normalizer: Any, *, label: str, training_steps: int, trained_in: World
+        self,
+        policy: Any,
+        normalizer: Any,
+        *,
+        label: str,
+        training_steps: int,
+        trained_in: TrainingEnvironment,
     ) -> None:
         """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`."""
         self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
@@ -129,14 +146,13 @@ class ModelAgent(Agent[Any]):
                 f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
-        changing, others = _wrappers(env)
-        missing = [one for one in self.trained_in.wrappers if one not in changing]
-        if missing:
-            lacks = f"{', '.join(missing)}, as in the training of {self.label}"
-            raise CannotActError(f"env must be wrapped in {lacks}, got it without")
-        missing = [one for one in self.trained_in.others if one not in others]
-        if missing:
-            message = f"{self.label} was trained behind {', '.join(missing)}, which env lacks"
+        if lacks := _missing(self.trained_in.wrappers, _changing_wrappers(env)):
+            raise CannotActError(
+                f"env must be wrapped in {lacks}, as in the training of {self.label}, "
+                "got it without"
+            )
+        if lacks := _missing(self.trained_in.own_wrappers, _own_wrappers(env)):
+            message = f"{self.label} was trained behind {lacks}, which env lacks"
             warnings.warn(message, MismatchWarning, stacklevel=3)
         return self
 
@@ -174,31 +190,28 @@ def as_agent(thing: Any) -> Any:
         None if env is None else model.get_vec_normalize_env(),
         label=type(model).__name__,
         training_steps=int(getattr(model, "num_timesteps", 0)),
-        trained_in=World() if env is None else _world(env),
+        trained_in=TrainingEnvironment() if env is None else TrainingEnvironment.of(env),
     )
 
 
-def _world(env: Any) -> World:
-    try:
-        control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
-    except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
-        return World()
-    return World(control, body, *_wrappers(env))
-
-
-def _wrappers(env: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Name the wrappers that change observations or actions, and those that may; see `World`.
+def _changing_wrappers(env: Any) -> tuple[str, ...]:
+    """Name the wrappers that change observations or actions.
 
     `VecNormalize` is not among them: a model has its statistics with it.
     """
-    changing, others = [], []
-    for one in wrappers_of(env):
-        name = type(one).__name__
-        if changes_contract(one):
-            changing += [name] if name != "VecNormalize" else []
-        elif isinstance(one, (gym.ObservationWrapper, gym.ActionWrapper)) and name != "ClipAction":
-            others.append(name)
-    return tuple(changing), tuple(others)
+    names = (type(one).__name__ for one in wrappers_of(env) if changes_contract(one))
+    return tuple(name for name in names if name != "VecNormalize")
+
+
+def _own_wrappers(env: Any) -> tuple[str, ...]:
+    """Name your own wrappers of observations or actions that keep both spaces."""
+    kinds = (gym.ObservationWrapper, gym.ActionWrapper)
+    kept = (one for one in wrappers_of(env) if isinstance(one, kinds) and not changes_contract(one))
+    return tuple(name for one in kept if (name := type(one).__name__) != "ClipAction")
+
+
+def _missing(wanted: tuple[str, ...], here: tuple[str, ...]) -> str:
+    return ", ".join(name for name in wanted if name not in here)
 
 
 @dataclass(frozen=True)
@@ -262,19 +275,19 @@ class SavedModel:
         return self.trained_in.control
 
     @cached_property
-    def trained_in(self) -> World:
+    def trained_in(self) -> TrainingEnvironment:
         """The environment as rl_zoo3's files describe it; unknown without them.
 
         One of this package is made, to read its default control mode and its arm.  Others are not:
         that might import any module.  Of them only a control mode in the files is known.
         """
         control = self.recipe["env_kwargs"].get("control")
-        known = World(control if control in CONTROLS else None)
+        known = TrainingEnvironment(control if control in CONTROLS else None)
         spec = gym.registry.get(str(self.recipe.get("env")))
         if spec is not None and str(spec.entry_point).startswith("mmc_gym."):
             try:
                 with closing(gym.make(spec, **self.recipe["env_kwargs"])) as env:
-                    known = _world(env)
+                    known = TrainingEnvironment.of(env)
             except (TypeError, ValueError):  # another version took these arguments
                 pass
         names = ("env_wrapper", "vec_env_wrapper", "frame_stack")
@@ -282,17 +295,20 @@ class SavedModel:
         return known._replace(wrappers=tuple(wrappers))
 
     def _has(self, name: str) -> bool:
-        """Return whether rl_zoo3's files have an entry, other than names of harmless wrappers."""
+        """Return whether rl_zoo3's files have an entry, other than names of harmless wrappers.
+
+        It is a name, a mapping from names to arguments, or a list of these.
+        """
         entry = self.recipe.get(name)
-        listed = entry if isinstance(entry, list) else [entry]
-        named = [one for each in listed for one in (each if isinstance(each, dict) else [each])]
+        named: list[Any] = []
+        for each in entry if isinstance(entry, list) else [entry]:
+            named += each if isinstance(each, dict) else [each]
         return any(one and str(one).rpartition(".")[2] not in HARMLESS for one in named)
 
     @cached_property
     def statistics(self) -> Path | None:
         """The file with the statistics of its `VecNormalize`; None if it has none."""
-        # Set by a training behind VecNormalize, and by every off-policy training.
-        if self.facts.get("_last_original_obs") is None:
+        if self.facts.get(_ORIGINAL) is None:
             return None
         pickles = [file for file in self._near() if file.suffix == ".pkl"]
         # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
@@ -315,8 +331,17 @@ class SavedModel:
     def load(self) -> ModelAgent:
         """Load the model, if pickles are allowed: that runs the code that they name."""
         _ = self.facts  # read first: it names a missing or wrong file
-        if self.statistics is None and self._was_normalized:
-            raise self._without_statistics()
+        if self.statistics is None and self._was_normalized is None:
+            message = (
+                f"{self.path} does not tell whether it was trained behind a VecNormalize; if it "
+                "was, save the statistics beside it by env.save('vecnormalize.pkl')"
+            )
+            warnings.warn(message, MismatchWarning, stacklevel=2)
+        elif self.statistics is None and self._was_normalized:
+            raise UserError(
+                f"{self.path} must have the statistics of its VecNormalize beside it, as "
+                "env.save('vecnormalize.pkl') writes them, got none"
+            )
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
@@ -340,29 +365,27 @@ class SavedModel:
         )
 
     @property
-    def _was_normalized(self) -> bool:
-        """Whether it was trained behind `VecNormalize`, as far as its readable entries show."""
+    def _was_normalized(self) -> bool | None:
+        """Whether it was trained behind `VecNormalize`; None if no readable entry tells it."""
         said = self.recipe.get("normalize")
         if said:
             return re.search(r"norm_obs\W+False", str(said)) is None
-        return self.facts.get("_last_original_obs") is not None and "gae_lambda" in self.facts
-
-    def _without_statistics(self) -> UserError:
-        return UserError(
-            f"{self.path} must have the statistics of its VecNormalize beside it, as "
-            "env.save('vecnormalize.pkl') writes them, got none"
-        )
+        if self.facts.get(_ORIGINAL) is None:
+            return False
+        if "gae_lambda" in self.facts:
+            return True
+        # Every off-policy training has this entry, and of these only rl_zoo3's files tell more.
+        has_recipe = len(self.recipe) > 1
+        return False if has_recipe else None
 
     def _load_policy(self) -> Any:
         from stable_baselines3.common.save_util import load_from_zip_file
 
         # Entries in `custom_objects` are not unpickled.
-        others = {name: None for name in self.facts if name not in (*_NEEDED, _LAST)}
+        others = {name: None for name in self.facts if name not in _NEEDED}
         content = io.BytesIO(self.path.read_bytes())
         data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
         assert data is not None
-        if self.statistics is None and _is_normalized(data.get(_LAST), data["action_space"]):
-            raise self._without_statistics()
         kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
         if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
             options.setdefault("use_sde", True)
@@ -376,19 +399,6 @@ class SavedModel:
         folder = self.path.parent
         inside = [one.parent for one in folder.glob("*/args.yml")]
         return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
-
-
-def _is_normalized(observation: Any, actions: gym.Space[Any]) -> bool:
-    """Return whether an observation of `MMCReach-v0` or `MMCReachGoal-v0` has been normalized.
-
-    Then cosines and sines of its joint angles are none.
-    """
-    posture = observation["observation"] if isinstance(observation, Mapping) else observation
-    joints, size = (actions.shape or (0,))[0], np.shape(posture)[-1:]
-    if size not in ((3 * joints,), (3 * joints + 6,)):
-        return False  # of another environment
-    circle = posture[..., :joints] ** 2 + posture[..., joints : 2 * joints] ** 2
-    return not np.allclose(circle, 1.0, atol=1e-3)
 
 
 class _PlainLoader(YamlLoader):

@@ -195,24 +195,45 @@ def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env):
             resolve(str(run), allow_pickle=True).factory(env)
 
 
-def test_a_model_acts_by_its_own_statistics_and_never_by_others(tmp_path, model, env):
-    small = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
-    for name, wrap in (("sac", lambda envs: envs), ("normalized", VecNormalize)):
-        envs = wrap(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
-        one = SAC("MlpPolicy", envs, device="cpu", **small).learn(12)
-        one.save(tmp_path / name)
-    with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
-        mmc_gym.make_agent(tmp_path / "normalized.zip", env, allow_pickle=True)
-    new = SAC("MlpPolicy", env, device="cpu", **small)  # never trained
-    trainings = {"sac": SAC.load(tmp_path / "sac"), "new": new, "plain": trained()}
-    for name, one in trainings.items():
+OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
+
+
+@pytest.mark.filterwarnings("ignore:.* does not tell whether it was trained behind a VecNormalize")
+def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, env):
+    sac = SAC("MlpPolicy", env, device="cpu", **OFF_POLICY)
+    for name, one in {"new": sac, "sac": sac.learn(12), "plain": trained()}.items():
         one.save(tmp_path / name)
         agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
         observation, _ = env.reset(seed=1)
         expected, _ = one.predict(observation, deterministic=True)
         np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
+
+
+def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
+    trained().save(tmp_path / "plain")
     model.get_env().save(str(tmp_path / "vecnormalize.pkl"))
-    assert resolve(tmp_path / "plain.zip").model.statistics is None  # it was trained without
+    assert resolve(tmp_path / "plain.zip").model.statistics is None
+
+
+def test_a_file_that_does_not_tell_of_statistics_is_warned_of(tmp_path, env):
+    """Those of off-policy algorithms do not, unless rl_zoo3's files lie beside them."""
+
+    def make():
+        return mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
+
+    envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
+    SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
+    with pytest.warns(MismatchWarning, match="does not tell whether it was trained behind a VecN"):
+        make()
+    (tmp_path / "recipe").mkdir()
+    (tmp_path / "recipe" / "args.yml").write_text("{env: MMCReach-v0}")
+    config = tmp_path / "recipe" / "config.yml"
+    config.write_text("{normalize: true}")
+    with pytest.raises(UserError, match="must have the statistics of its VecNormalize"):
+        make()
+    config.write_text("{policy: MlpPolicy}")
+    with pytest.raises(ControlError):
+        make()  # known to be not normalized, and the control mode is that of the recipe
 
 
 def test_another_arm_and_other_observations_are_told(env):
