@@ -9,7 +9,7 @@ episodes.
 
 import matplotlib.pyplot as plt
 
-from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
+from mmc_gym.report.curves import curve_rows, mean_curves, read_cards
 
 # %%
 # These are the policies that ship. ``read_cards("runs/mine-*")`` reads your own, which ``mmc-gym

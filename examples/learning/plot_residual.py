@@ -10,7 +10,7 @@ everything.
 import matplotlib.pyplot as plt
 
 import mmc_gym
-from mmc_gym.training.curves import read_cards
+from mmc_gym.report.curves import read_cards
 
 # %%
 # During training each policy was evaluated in the same 200 episodes, and its card has the results.

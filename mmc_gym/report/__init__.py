@@ -154,7 +154,7 @@ def _learning(results: Results) -> dict[str, str] | None:
     """
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
-    from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves
+    from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves
 
     cards = {agent: results.identities[agent].cards for agent in results.agents}
     curves = curve_rows({agent: found for agent, found in cards.items() if found})

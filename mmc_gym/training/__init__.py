@@ -1,1 +1,1 @@
-"""Learned policies: hyperparameters, training with checkpoints, learning curves."""
+"""Learned policies: hyperparameters, training with checkpoints, what stable-baselines3 needs."""

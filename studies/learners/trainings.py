@@ -31,7 +31,7 @@ from mmc_gym.benchmark.statistics import (
     success_interval,
 )
 from mmc_gym.measures.catalogue import Statistic
-from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
+from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
 from studies.drawing import save_figure
 from studies.tables import table_of
 

@@ -9,7 +9,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import load_policy, save_policy, shipped_file
-from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
+from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
 from studies.learners import trainings as study
 
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
