@@ -173,7 +173,7 @@ def tuned_mmc(interface: ReachInterface) -> MMCAgent:
 class TimedMMCState(NamedTuple):
     """State of the agent: the network's, and the movement."""
 
-    network: MMCState
+    arm: MMCState
     movement: MovementTiming
 
 
@@ -187,30 +187,31 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
 
     @override
     def start(self, sensed: Sensed) -> TimedMMCState:
-        state = self.network.state_from_joint_angles(sensed.joint_angles)
-        hand = state.segments.sum(axis=-2)
-        return TimedMMCState(state, begin(hand, sensed.target, self.interface.control_step))
+        arm = self.network.state_from_joint_angles(sensed.joint_angles)
+        hand = arm.segments.sum(axis=-2)
+        return TimedMMCState(arm, begin(hand, sensed.target, self.interface.control_step))
 
     @override
     def advance(self, state: TimedMMCState, sensed: Sensed) -> tuple[Floats, TimedMMCState]:
-        network, count = state.network, self.iterations_per_step
-        hand = network.segments.sum(axis=-2)
+        arm, iterations = state.arm, self.iterations_per_step
+        hand = arm.segments.sum(axis=-2)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
-        network = out_of_line(self.network, network, self.network.inverse(movement.target))
-        for part in range(1, count + 1):
-            way = share(count * movement.elapsed + part, count * movement.duration)
-            network = self._within_limits(timed_step(self.network, network, movement.target, way))
-        return network.joint_angles, TimedMMCState(network, step(movement))
+        arm = out_of_line(self.network, arm, self.network.inverse(movement.target))
+        for iteration in range(1, iterations + 1):
+            elapsed = iterations * movement.elapsed + iteration
+            way = share(elapsed, iterations * movement.duration)
+            arm = self._within_limits(timed_step(self.network, arm, movement.target, way))
+        return arm.joint_angles, TimedMMCState(arm, step(movement))
 
-    def _within_limits(self, network: MMCState) -> MMCState:
-        """Return the networks; joints beyond their limits are moved half of the way back."""
+    def _within_limits(self, arm: MMCState) -> MMCState:
+        """Return the arms; joints beyond their limits are moved half of the way back."""
         if self.interface.joint_limits is None:
-            return network
-        joint_angles = network.joint_angles
+            return arm
+        joint_angles = arm.joint_angles
         back = wrap_angle(self.interface.within_limits(joint_angles) - joint_angles) / 2
         is_beyond = np.asarray((np.abs(back) > 1e-9).any(axis=-1))
         nearer = self.network.state_from_joint_angles(joint_angles + back)
-        return where(is_beyond, nearer, network)
+        return where(is_beyond, nearer, arm)
 
 
 def bell_mmc(interface: ReachInterface) -> TimedMMCAgent:

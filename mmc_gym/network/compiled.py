@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -30,17 +30,14 @@ from mmc_gym._compiling import compiled, inner
 from mmc_gym.geometry import Floats
 from mmc_gym.network.iteration import velocity_rule
 
-if TYPE_CHECKING:
-    from mmc_gym.network.model import MMCNetwork
-
 LANES = 32  # arms in a block
 _NUDGE = 1e-100  # gives the zero vector a direction, as `EuclideanNormalizer` does
 _SHARED = 3  # segments share a division; more zero vectors would underflow together
 
 
 @lru_cache(maxsize=256)
-def compiled_iterations(network: MMCNetwork) -> Callable[[Floats, Floats, Floats, int], None]:
-    """Return `iterate` for a network, as a function of its last four arguments."""
+def compiled_iteration(network: Any) -> Callable[[Floats, int], None]:
+    """Return `iterate` for an `MMCNetwork`, as a function of its last two arguments."""
     count, nodes = network.segment_count, network.segment_count + 1
     shapes = {
         # As `MMCState.values`, but always with velocities.
@@ -56,16 +53,14 @@ def compiled_iterations(network: MMCNetwork) -> Callable[[Floats, Floats, Floats
 
 
 @compiled
-def iterate(no_blocks, lengths, rule, values, targets, result, times):
-    """Write the state after some iterations into `result`.
+def iterate(no_blocks, lengths, rule, values, times):
+    """Iterate a state in place.
 
     Args:
         no_blocks: an empty array of blocks; its type says how many segments there are.
         lengths: of the segments, (N,).
         rule: 1/d, and the factors of `velocity_rule`.
-        values: the state, (rows, 2, batch); see `MMCState`.
-        targets: at which R is held, (1, 2, batch or 1).
-        result: the new state, (rows, 2, batch).
+        values: the state, (rows, 2, batch), see `MMCState`; R is held at its value.
         times: number of iterations.
     """
     blocks = np.zeros(1, no_blocks.dtype)
@@ -78,22 +73,12 @@ def iterate(no_blocks, lengths, rule, values, targets, result, times):
             for axis in range(2):
                 for k in range(lanes):
                     block.state[row, axis, k] = values[row, axis, first + k]
-        for axis in range(2):
-            for k in range(lanes):
-                target = targets[0, axis, first + k if targets.shape[2] > 1 else 0]
-                block.state[_velocity_row(block) - 1, axis, k] = target
         for _ in range(times):
             _advance(block, rule[0], rule[1], rule[2], lanes)
         for row in range(values.shape[0]):
             for axis in range(2):
                 for k in range(lanes):
-                    result[row, axis, first + k] = block.state[row, axis, k]
-
-
-@inner
-def _velocity_row(block):
-    """Return the row of a block where velocities begin; above it are all vectors, R the last."""
-    return block.state.shape[0] - block.length.shape[0]
+                    values[row, axis, first + k] = block.state[row, axis, k]
 
 
 @inner
@@ -124,7 +109,8 @@ def _add_up(vector, total, k):
 @inner
 def _advance(block, share, gain, memory, lanes):
     """Do an iteration; R is held."""
-    state, total, velocity = block.state, block.total, _velocity_row(block)
+    state, total = block.state, block.total
+    velocity = state.shape[0] - block.length.shape[0]  # row where velocities begin
     nodes, gain = total.shape[0], gain * share
     own = 1.0 - share * nodes
     for k in range(lanes):

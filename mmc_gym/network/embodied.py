@@ -27,9 +27,8 @@ joint is locked, its body is tied to the base and cannot turn.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ from numpy.typing import NDArray
 from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.geometry import Floats
 from mmc_gym.network.chain import triangle_products
-from mmc_gym.network.iteration import compile_iteration, velocity_rule
+from mmc_gym.network.iteration import cached_iteration, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, require_plane
 from mmc_gym.network.normalizers import Normalizer
 
@@ -80,84 +79,95 @@ def embodied_run(
     require(isinstance(body, Embodiment), "body", body, "an Embodiment")
     require_plane(network)
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
-    state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
-    values, count, rows = state.values, network.segment_count, len(state.values)
-    iteration = compile_iteration(network, clamps.rows, values.dtype.char)
-    current = values.reshape(rows, 2, -1)
+    values = network.hold(state, clamps).values
+    batch, count = values.shape[2:], network.segment_count
+    now = values.reshape(*values.shape[:2], -1)
+    iteration = cached_iteration(network, clamps.rows, values.dtype.char)
     lengths = iteration.lengths
     if body.segment_lengths is not None:
-        lengths = _batch_last(body.segment_lengths, values, (count,))
-    pull = _pull(network, body, values)
-    nearest = _nearest(network.normalizer, body, lengths, values)
+        lengths = _batch_last(body.segment_lengths, batch, values.dtype)
+    sensing = _Sensing.of(network, body, batch, values.dtype) if body.weight else None
+    rigid = _RigidBodies.of(body, lengths, batch, values.dtype)
     for _ in range(iterations):
-        following = iteration.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
-        if pull is not None:
-            pull(current, following)
-        following[:count] = nearest(following[:count])
-        current = following
-    return MMCState(current.reshape(values.shape), count)
+        following = iteration.operator.dot(now.reshape(len(now), -1)).reshape(now.shape)
+        if sensing is not None:
+            following = sensing.added(following, now)
+        if rigid is None:
+            network.normalizer.normalize_rows(following[:count], lengths)
+        else:
+            following[:count] = rigid.nearest(following[:count], network.normalizer)
+        now = following
+    return MMCState(now.reshape(values.shape), count)
 
 
-def _pull(
-    network: MMCNetwork, body: Embodiment, values: Floats
-) -> Callable[[Floats, Floats], None] | None:
-    """Return a function that adds the sensed posture to an iteration; states (rows, 2, batch)."""
-    if body.sensed is None or not body.weight:
-        return None
-    count, is_dynamic = network.segment_count, network.dynamics != "kinematic"
-    sensed = _batch_last(body.sensed, values, (count, 2))
-    triangles = triangle_products(count)
-    mean = np.eye(len(triangles)) - triangles / network.damping
-    to_mean = np.zeros((count, len(values)), dtype=values.dtype)  # makes L̃⁰ of the state
-    to_mean[:, : len(mean)] = mean[:count]
-    factor = velocity_rule(network)[0] * (body.weight / (network.damping + body.weight))
+class _Sensing(NamedTuple):
+    """The sensed posture as one more computation in the mean; states are (rows, 2, batch)."""
 
-    def pull(current: Floats, following: Floats) -> None:
-        proposed = to_mean.dot(current.reshape(len(current), -1)).reshape(sensed.shape)
-        change = factor * (sensed - proposed)
-        following[:count] += change
-        if is_dynamic:
-            following[-count:] += change
+    segments: Floats  #: L^s, (N, 2, batch)
+    to_mean: Floats  #: makes L̃⁰ of a state, (N, rows)
+    share: float  #: of L^s − L̃⁰ in the proposed segments
+    is_dynamic: bool
 
-    return pull
+    @classmethod
+    def of(
+        cls, network: MMCNetwork, body: Embodiment, batch: tuple[int, ...], dtype: np.dtype[Any]
+    ) -> _Sensing:
+        count, triangles = network.segment_count, triangle_products(network.segment_count)
+        mean = np.eye(len(triangles)) - triangles / network.damping
+        to_mean = np.zeros((count, network.row_count), dtype=dtype)
+        to_mean[:, : len(mean)] = mean[:count]
+        share = velocity_rule(network)[0] * (body.weight / (network.damping + body.weight))
+        segments = _batch_last(body.sensed, batch, dtype, 2)
+        return cls(segments, to_mean, share, network.dynamics != "kinematic")
+
+    def added(self, proposed: Floats, state: Floats) -> Floats:
+        """Return what an iteration proposes for a state, with the sensed posture in the mean."""
+        count = len(self.segments)
+        mean = self.to_mean.dot(state.reshape(len(state), -1)).reshape(self.segments.shape)
+        change = self.share * (self.segments - mean)
+        parts = [proposed[:count] + change, proposed[count:]]
+        if self.is_dynamic:
+            parts[1:] = [proposed[count:-count], proposed[-count:] + change]
+        return np.concatenate(parts)
 
 
-def _nearest(
-    normalizer: Normalizer, body: Embodiment, lengths: Floats, values: Floats
-) -> Callable[[Floats], Floats]:
-    """Return a function of proposed segments (N, 2, batch): the nearest that the body allows.
+class _RigidBodies(NamedTuple):
+    """The bodies that locked joints make of segments; complex numbers are vectors and turns."""
 
-    Complex numbers represent vectors and turns of the rigid bodies that locks make.
-    """
-    if body.locked is None or body.joint_angles is None or not body.locked.any():
+    starts: NDArray[np.bool_]  #: whether each segment is the first of its body, (N, batch)
+    is_tied: NDArray[np.bool_]  #: whether it is tied to the base, (N, batch)
+    own: NDArray[Any]  #: ℓ_i R(c_i), (N, batch)
+    span: NDArray[Any]  #: Σ ℓ_i R(c_i) of each segment's body, (N, batch)
+    weight: Floats  #: of the segments and the span together, (N, batch)
 
-        def normalized(segments: Floats) -> Floats:
-            normalizer.normalize_rows(segments, lengths)
-            return segments
+    @classmethod
+    def of(
+        cls, body: Embodiment, lengths: Floats, batch: tuple[int, ...], dtype: np.dtype[Any]
+    ) -> _RigidBodies | None:
+        """Return the bodies, or None if no joint is locked."""
+        if body.locked is None or not body.locked.any():
+            return None
+        locked = _batch_last(body.locked, batch, dtype) > 0
+        starts, is_tied = ~locked, locked.copy()
+        turned = np.exp(1j * np.where(locked, _batch_last(body.joint_angles, batch, dtype), 0.0))
+        for joint in range(1, len(locked)):
+            turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
+            is_tied[joint] &= is_tied[joint - 1]
+        own = lengths * turned
+        span = _over_bodies(starts, own)
+        squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
+        return cls(starts, is_tied, own, span, _over_bodies(starts, squares) + np.abs(span) ** 2)
 
-        return normalized
-    count = body.locked.shape[-1]
-    locked = _batch_last(body.locked, values, (count,)) > 0
-    starts, is_tied = ~locked, locked.copy()  # a body's first segment; tied to the base
-    turned = np.exp(1j * np.where(locked, _batch_last(body.joint_angles, values, (count,)), 0.0))
-    for joint in range(1, count):
-        turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
-        is_tied[joint] &= is_tied[joint - 1]
-    own = lengths * turned  # ℓ_i R(c_i)
-    span = _over_bodies(starts, own)
-    squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
-    weight = _over_bodies(starts, squares) + np.abs(span) ** 2
-
-    def nearest(segments: Floats) -> Floats:
+    def nearest(self, segments: Floats, normalizer: Normalizer) -> Floats:
+        """Return the possible segments nearest to proposed ones, (N, 2, batch)."""
         proposed = segments[:, 0] + 1j * segments[:, 1]
-        fit = _over_bodies(starts, SEGMENT_WEIGHT * own.conj() * proposed)
-        fit = fit + span.conj() * _over_bodies(starts, proposed)
-        direction = np.stack([fit.real, fit.imag], axis=1) / weight[:, None]
-        normalizer.normalize_rows(direction, np.ones((count, 1), dtype=direction.dtype))
-        placed = own * np.where(is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
+        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * self.own.conj() * proposed)
+        fit = fit + self.span.conj() * _over_bodies(self.starts, proposed)
+        direction = np.stack([fit.real, fit.imag], axis=1) / self.weight[:, None]
+        normalizer.normalize_rows(direction, np.ones((len(fit), 1), dtype=direction.dtype))
+        turn = np.where(self.is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
+        placed = self.own * turn
         return np.stack([placed.real, placed.imag], axis=1)
-
-    return nearest
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
@@ -170,7 +180,11 @@ def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any
     return sums
 
 
-def _batch_last(array: NDArray[Any], values: Floats, trailing: tuple[int, ...]) -> Floats:
-    """Return an array (..., *trailing) with the batch last and flat, in the state's dtype."""
-    full = np.broadcast_to(np.asarray(array, values.dtype), (*values.shape[2:], *trailing))
-    return np.ascontiguousarray(np.moveaxis(full.reshape(-1, *trailing), 0, -1))
+def _batch_last(
+    array: Any, batch: tuple[int, ...], dtype: np.dtype[Any], *axes: int
+) -> NDArray[Any]:
+    """Return an array (..., N, *axes) with the batch last and flat."""
+    array = np.asarray(array, dtype)
+    trailing = array.shape[array.ndim - 1 - len(axes) :]
+    full = np.broadcast_to(array, (*batch, *trailing)).reshape(-1, *trailing)
+    return np.ascontiguousarray(np.moveaxis(full, 0, -1))

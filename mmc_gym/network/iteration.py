@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, require, unknown
 from mmc_gym.geometry import Floats
 from mmc_gym.network import chain
-
-if TYPE_CHECKING:
-    from mmc_gym.network.model import MMCNetwork
+from mmc_gym.network.normalizers import Normalizer
 
 # Arms iterated together: their rows, twice, fit the second-level cache of common processors.
 _BLOCK = 4096
@@ -28,43 +26,42 @@ _BLOCK = 4096
 class Iteration:
     """Iterations of a network in numpy, for a set of clamped rows and a dtype's character."""
 
-    def __init__(self, network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> None:
+    def __init__(self, network: Any, clamped: tuple[int, ...], dtype: str) -> None:
         free = [row for row in range(network.segment_count) if row not in clamped]
         self._is_delayed = network.schedule == "delayed"
         offset = len(chain.vector_pairs(network.segment_count)) if self._is_delayed else 0
-        self._normalizer = network.normalizer
+        self._normalizer: Normalizer = network.normalizer
         #: the linear part, see `linear_operator`
         self.operator: Floats = linear_operator(network, clamped).astype(dtype)
-        self.clamped = _as_slice(clamped)  #: rows that hold clamp values
         #: rows of the free segments
         self.normalized = _as_slice(tuple(offset + row for row in free))
         #: lengths to bring them to, (n, 1)
         self.lengths: Floats = np.array(network.segment_lengths, dtype=dtype)[free, None]
 
-    def __call__(self, state: Floats, held: Floats, result: Floats, times: int) -> None:
-        """Write the state after some iterations into `result`; see `compiled.iterate`."""
-        flat = (len(state), -1)
-        for start in range(0, state.shape[2], _BLOCK):
-            block = slice(start, start + _BLOCK)
-            values = state[:, :, block].copy()
-            values[self.clamped] = held if held.shape[2] == 1 else held[:, :, block]
-            following = np.empty_like(values)
+    def __call__(self, values: Floats, times: int) -> None:
+        """Iterate a state (rows, axes, batch) in place; its clamped rows have their values."""
+        rows, axes, batch = values.shape
+        for start in range(0, batch, _BLOCK):
+            block = values[:, :, start : start + _BLOCK]
+            now = block.reshape(rows, -1)
+            following = np.empty_like(now)
             for _ in range(times):
                 if self._is_delayed:
-                    self._normalize(values)
-                self.operator.dot(values.reshape(flat), following.reshape(flat))
-                values, following = following, values
+                    self._normalize(now, axes)
+                self.operator.dot(now, following)
+                now, following = following, now
                 if not self._is_delayed:
-                    self._normalize(values)
-            result[:, :, block] = values
+                    self._normalize(now, axes)
+            block[:] = now.reshape(block.shape)
 
-    def _normalize(self, values: Floats) -> None:
+    def _normalize(self, values: Floats, axes: int) -> None:
         segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
-        self._normalizer.normalize_rows(segments, self.lengths)
+        shape = -1, axes, values.shape[1] // axes
+        self._normalizer.normalize_rows(segments.reshape(shape), self.lengths)
         values[self.normalized] = segments
 
 
-compile_iteration = lru_cache(maxsize=256)(Iteration)
+cached_iteration = lru_cache(maxsize=256)(Iteration)
 
 
 def linear_operator(

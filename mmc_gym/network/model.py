@@ -52,7 +52,7 @@ from mmc_gym.geometry import (
 )
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
-from mmc_gym.network.iteration import compile_iteration, held_rows
+from mmc_gym.network.iteration import cached_iteration, held_rows
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 
 if TYPE_CHECKING:  # numpy is all that the network needs
@@ -296,28 +296,36 @@ class MMCNetwork:
         means, and no iteration leaves that line.  Such an arm is first bent by `chain.BEND` at each
         joint, if it could get nearer to its target.
         """
-        self._check(state, clamps, iterations)
-        values, clamped = state.values, clamps.values
-        if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
+        require_whole("iterations", iterations, least=0)
+        values = self.hold(state, clamps).values
+        flat = values.reshape(*values.shape[:2], values[0, 0].size)
+        if self.engine == "numba" and clamps.rows == (self._hand_row,):
+            from mmc_gym.network.compiled import compiled_iteration
+
+            compiled_iteration(self)(flat, iterations)
+        else:
+            cached_iteration(self, clamps.rows, values.dtype.char)(flat, iterations)
+        return MMCState(values, self.segment_count)
+
+    def hold(self, state: MMCState, clamps: Clamps) -> MMCState:
+        """Return a copy of the state with the clamped variables at their values: `run` begins so.
+
+        Batch axes are broadcast, and arms bent that could never leave the line they lie in.
+        """
+        self._check(state, clamps)
+        values, held = state.values, clamps.values
+        if clamps.rows and held.shape[2:] != values.shape[2:]:
             try:
-                batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
+                batch = np.broadcast_shapes(values.shape[2:], held.shape[2:])
             except ValueError as error:
                 accepted = f"that go with the state's, {values.shape[2:]}"
-                got = clamped.shape[2:]
+                got = held.shape[2:]
                 raise UserError(f"clamps must have batch axes {accepted}, got {got}") from error
-            values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
-        values = self._out_of_line(values, clamps.rows, clamped)
-        result = np.empty(values.shape, dtype=values.dtype)
-        rows, axes, size = len(result), self.dimensions, result[0, 0].size
-        source, out = values.reshape(rows, axes, size), result.reshape(rows, axes, size)
-        held = clamped.reshape(len(clamped), axes, clamped[0, 0].size if clamps.rows else 1)
-        if self.engine == "numba" and clamps.rows == (self._hand_row,):
-            from mmc_gym.network.compiled import compiled_iterations
-
-            compiled_iterations(self)(source, held, out, iterations)
-        else:
-            compile_iteration(self, clamps.rows, values.dtype.char)(source, held, out, iterations)
-        return MMCState(result, self.segment_count)
+            values, held = _broadcast(values, batch), _broadcast(held, batch)
+        values = self._out_of_line(values, clamps.rows, held).copy()
+        for row, vectors in zip(clamps.rows, held):
+            values[row] = vectors
+        return MMCState(values, self.segment_count)
 
     def trajectory(self, state: MMCState, clamps: Clamps, iterations: int) -> Trajectory:
         """Run the network and record the segments after every iteration.
@@ -329,20 +337,19 @@ class MMCNetwork:
         (50, 3, 2)
         """
         require_whole("iterations", iterations, least=0)
-        state = self.run(state, clamps, iterations=0)  # broadcasts state and clamps
+        state = self.hold(state, clamps)
         postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
         for iteration in range(iterations):
             state = self.step(state, clamps)
             postures[iteration] = state.segments
         return Trajectory(state, postures)
 
-    def _check(self, state: MMCState, clamps: Clamps, iterations: int) -> None:
+    def _check(self, state: MMCState, clamps: Clamps) -> None:
         """Raise a `UserError` if state or clamps do not come from a network like this one."""
         accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
         require(isinstance(state, MMCState), "state", state, accepted)
         accepted = "Clamps, such as network.inverse([1.0, 1.5])"
         require(isinstance(clamps, Clamps), "clamps", clamps, accepted)
-        require_whole("iterations", iterations, least=0)
         for name, count in (("state", state.segment_count), ("clamps", clamps.segment_count)):
             if count not in (self.segment_count, NO_CLAMPS.segment_count):
                 accepted = f"of {self.segment_count} segments, as this network is"
@@ -393,7 +400,6 @@ class MMCNetwork:
         is_straight = are_in_line(values[1:count])
         if not is_straight.any():
             return values
-        clamped = _broadcast(clamped, values.shape[2:])
         target = nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
         is_away = reduce(np.hypot, np.moveaxis(way, -1, 0)) > 1e-3 * sum(lengths)

@@ -95,7 +95,7 @@ def timed_step(
     [-0.98, 1.5]
     """
     _check(network)
-    state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
+    state = network.hold(state, network.inverse(target))
     count, batch = network.segment_count, state.batch_shape
     values = state.values.reshape(len(state.values), 2, -1)
     accepted = f"between 0 and 1, for all arms or each, {batch}"
