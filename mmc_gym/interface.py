@@ -87,11 +87,11 @@ class ObservationParts(NamedTuple):
     speeds: Any  #: joint velocities as fractions of their limit, (..., N)
     target: Any  #: position of the target, segment lengths, (..., 2)
     offset: Any  #: target − hand, segment lengths, (..., 2)
-    near: Any  #: the same, enlarged near 0: offset / (NEAR + |offset|), (..., 2)
+    near: Any  #: the same, enlarged near 0: offset / (OFFSET_SCALE + |offset|), (..., 2)
     rest: Any  #: values that follow, if the observation is longer, (..., any number)
 
 
-NEAR = 0.05  # segment lengths
+OFFSET_SCALE = 0.05  # segment lengths
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ObservationLayout:
 
     An observation of `MMCReach-v0` is (..., 3 N + 6), with e = R(−q_1) (target − hand)::
 
-        cos q, sin q, joint speeds / limit, R(−q_1) target, e, e / (NEAR + |e|)
+        cos q, sin q, joint speeds / limit, R(−q_1) target, e, e / (OFFSET_SCALE + |e|)
 
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
     `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
@@ -232,7 +232,7 @@ class ObservationLayout:
 
 
 def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
-    """Return the last six values of observations: R(−q_1) target, e, and e / (NEAR + |e|).
+    """Return the last six values of observations: R(−q_1) target, e, and e / (OFFSET_SCALE + |e|).
 
     Cosine and sine of the first joint angle, and (x, y) of hand and target, are numbers, or arrays
     of one shape; `root` is the square root for them.
@@ -241,7 +241,7 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
     along, across = target_x - hand_x, target_y - hand_y
     # Written out: calls of `turned_back` would cost a step of one arm a microsecond.
     x, y = cosine * along + sine * across, cosine * across - sine * along
-    scale = NEAR + root(x * x + y * y)
+    scale = OFFSET_SCALE + root(x * x + y * y)
     seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
     return seen_x, seen_y, x, y, x / scale, y / scale
 

@@ -14,7 +14,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
-    NEAR,
+    OFFSET_SCALE,
     ControlError,
     ObservationLayout,
     ReachInterface,
@@ -62,7 +62,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(module, ar
     goals = GOALS.encode(angles, speeds, hand=hands, target=targets)
     goals = {name: arrays(value) for name, value in goals.items()}
     offsets = targets - hands
-    large = offsets / (NEAR + np.linalg.norm(offsets, axis=-1, keepdims=True))
+    large = offsets / (OFFSET_SCALE + np.linalg.norm(offsets, axis=-1, keepdims=True))
     from_first = np.exp(-1j * angles[:, :1])  # vectors are seen from the first segment
     seen = ((vectors @ [[1], [1j]]) * from_first for vectors in (targets, offsets, large))
     seen = (np.hstack([one.real, one.imag]) for one in seen)

@@ -19,7 +19,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.body import ArmParameters, make_arm
-from mmc_gym.interface import NEAR, ObservationLayout
+from mmc_gym.interface import OFFSET_SCALE, ObservationLayout
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
@@ -68,7 +68,7 @@ def page_data() -> dict[str, Any]:
             "stretched": _stretched_inertia(arm.segment_lengths),
             "driveInertia": arm.drive_inertia,
         },
-        "near": NEAR,
+        "near": OFFSET_SCALE,
         "tolerance": 0.05,
     }
 

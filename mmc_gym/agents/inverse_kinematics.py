@@ -42,6 +42,7 @@ from mmc_gym._errors import require_whole
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.geometry import (
     Floats,
+    damped_least_squares,
     nearest_reachable,
     node_positions,
     segments_from_joint_angles,
@@ -72,7 +73,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
     def __init__(
         self, interface: ReachInterface, solver: Solver, iterations_per_step: int = 1
     ) -> None:
-        """Make the agent, whose solver is one iteration, such as `damped_least_squares`.
+        """Make the agent, whose solver is one iteration, such as `damped_step`.
 
         It cannot act under torque control, or if the solver is not for so many segments.
         """
@@ -97,8 +98,8 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
 
 
 def damped_least_squares_agent(interface: ReachInterface) -> InverseKinematicsAgent:
-    """Make the agent of `damped_least_squares`, three iterations per control step."""
-    return InverseKinematicsAgent(interface, damped_least_squares, iterations_per_step=3)
+    """Make the agent of `damped_step`, three iterations per control step."""
+    return InverseKinematicsAgent(interface, damped_step, iterations_per_step=3)
 
 
 def closed_form_agent(interface: ReachInterface) -> InverseKinematicsAgent:
@@ -126,17 +127,15 @@ def iterate(
     return joint_angles
 
 
-def jacobian(
-    joint_angles: Floats, segment_lengths: SegmentLengths
-) -> tuple[Floats, Floats, Floats]:
-    """Return the hand (..., 2), and its derivatives ∂x/∂q and ∂y/∂q by the joints, (..., N) each.
+def jacobian(joint_angles: Floats, segment_lengths: SegmentLengths) -> tuple[Floats, Floats]:
+    """Return the hand (..., 2), and J, its derivatives by the joint angles, (..., 2, N).
 
     A joint turns the hand about itself: column i of J is (hand − p_i) turned by 90°.
     """
     nodes = node_positions(segments_from_joint_angles(joint_angles, segment_lengths))
     hand = nodes[..., -1, :]
     arm = hand[..., None, :] - nodes[..., :-1, :]
-    return hand, -arm[..., 1], arm[..., 0]
+    return hand, np.stack((-arm[..., 1], arm[..., 0]), axis=-2)
 
 
 def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats) -> Floats:
@@ -163,7 +162,7 @@ def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLen
     return joint_angles + BEND * stuck[..., None]
 
 
-def damped_least_squares(
+def damped_step(
     joint_angles: Floats,
     target: Floats,
     segment_lengths: SegmentLengths,
@@ -176,19 +175,11 @@ def damped_least_squares(
     The change is at most `max_step` / (2 `damping`), at singularities too.  Joints stop at their
     limits.
     """
-    hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
+    hand, by_joints = jacobian(joint_angles, segment_lengths)
     error = target - hand
     distance = np.hypot(error[..., 0], error[..., 1])[..., None]
     error = error * (max_step / np.maximum(distance, max_step))
-    # (JJᵀ + λ²I) is 2 × 2 and symmetric; its inverse is written out.
-    xx = (jacobian_x * jacobian_x).sum(axis=-1) + damping**2
-    yy = (jacobian_y * jacobian_y).sum(axis=-1) + damping**2
-    xy = (jacobian_x * jacobian_y).sum(axis=-1)
-    determinant = xx * yy - xy * xy
-    force_x = (yy * error[..., 0] - xy * error[..., 1]) / determinant
-    force_y = (xx * error[..., 1] - xy * error[..., 0]) / determinant
-    change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
-    moved = joint_angles + change
+    moved = joint_angles + damped_least_squares(by_joints, error, damping)
     return moved if joint_limits is None else np.clip(moved, *np.transpose(joint_limits))
 
 

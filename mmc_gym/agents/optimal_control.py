@@ -235,51 +235,53 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
 
     @override
     def respond(self, state: Belief, seen: Seen) -> tuple[NDArray[np.float32], Belief]:
-        state = self._driven(self._perceived(state, seen))
+        state = self._joints_and_hand_sensed(state, seen)
+        state = self._target_sensed(state, seen)
+        state = self._driven(state, self._command(state))
         # A position servo turns a joint at this velocity if its target is this far ahead.
         ahead = state.velocity / self.interface.servo_gain
         now = seen.joint_angles + self.interface.control_step * state.asked.sum(axis=-2)
         return self.interface.act(now + ahead, replace(seen, joint_angles=now)), state
 
-    def _perceived(self, before: Belief, seen: Seen) -> Belief:
-        """Return the expected state at this time, corrected by the senses."""
-        gains, assumed = self.gains, self.assumed
-        step, lengths = self.interface.control_step, self.interface.segment_lengths
+    def _joints_and_hand_sensed(self, before: Belief, seen: Seen) -> Belief:
+        """Return the belief with joints and shift of the hand, as expected and corrected."""
+        gains, step = self.gains, self.interface.control_step
         asked = np.concatenate((before.asked, before.velocity[..., None, :]), axis=-2)
-        angles = before.joint_angles + step * asked[..., 0, :]
-        angles = angles + gains.posture[0] * wrap_angle(seen.joint_angles - angles)
-        speeds = before.velocity + gains.posture[1] * (seen.joint_speeds - asked[..., 0, :])
-        felt = hand_position(angles, lengths)
-        shift = seen.hand - felt
+        expected = before.joint_angles + step * asked[..., 0, :]
+        angles = expected + gains.posture[0] * wrap_angle(seen.joint_angles - expected)
+        velocity = before.velocity + gains.posture[1] * (seen.joint_speeds - asked[..., 0, :])
+        shift = seen.hand - hand_position(angles, self.interface.segment_lengths)
         known = np.where(np.isnan(before.shift), shift, before.shift)
-        shift = known + gains.vision * (shift - known)
-        target = before.target + step * before.target_velocity
-        of_target = seen.target - target
-        jumped = _length(of_target) > TARGET_JUMP_DISTANCE
-        target = np.where(jumped, seen.target, target + gains.target[0] * of_target)
-        velocity = np.where(jumped, 0.0, before.target_velocity + gains.target[1] * of_target)
-        distance = _length(target - felt - shift)
-        duration = np.minimum(assumed.shortest + distance / assumed.speed, assumed.longest)
-        begins = jumped | np.isnan(before.remaining)
         return before._replace(
             joint_angles=angles,
-            velocity=speeds,
-            shift=shift,
-            target=target,
-            target_velocity=velocity,
-            remaining=np.where(begins, np.rint(duration / step), before.remaining),
+            velocity=velocity,
+            shift=known + gains.vision * (shift - known),
             asked=asked[..., 1:, :],
         )
 
-    def _driven(self, state: Belief) -> Belief:
-        """Return the state after the optimal command."""
-        interface, assumed = self.interface, self.assumed
-        step, lengths = interface.control_step, interface.segment_lengths
+    def _target_sensed(self, state: Belief, seen: Seen) -> Belief:
+        """Return the belief with the target; where it jumped, a movement begins."""
+        gains, assumed, step = self.gains, self.assumed, self.interface.control_step
+        expected = state.target + step * state.target_velocity
+        error = seen.target - expected
+        jumped = _length(error) > TARGET_JUMP_DISTANCE
+        target = np.where(jumped, seen.target, expected + gains.target[0] * error)
+        velocity = np.where(jumped, 0.0, state.target_velocity + gains.target[1] * error)
+        felt = hand_position(state.joint_angles, self.interface.segment_lengths)
+        distance = _length(target - felt - state.shift)
+        duration = np.minimum(assumed.shortest + distance / assumed.speed, assumed.longest)
+        begins = jumped | np.isnan(state.remaining)
+        remaining = np.where(begins, np.rint(duration / step), state.remaining)
+        return state._replace(target=target, target_velocity=velocity, remaining=remaining)
+
+    def _command(self, state: Belief) -> Floats:
+        """Return the optimal command u of the joints, (..., N), at the present time."""
+        interface, lengths = self.interface, self.interface.segment_lengths
+        step = interface.control_step
         target = state.target + self._late * step * state.target_velocity
         goal = nearest_reachable(target - state.shift, lengths)
         angles = state.joint_angles + step * state.asked.sum(axis=-2)
-        hand, *columns = jacobian(leave_line(angles, goal, lengths), lengths)
-        effects = np.stack(columns, axis=-2)
+        hand, effects = jacobian(leave_line(angles, goal, lengths), lengths)
         effects[..., list(interface.lockable_joints)] = 0.0  # a joint that may lock moves nothing
         towards, moves, rows = turned_joints(effects)
         error = _turned(target - state.shift - hand, towards)
@@ -293,13 +295,17 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
         of_error, of_velocity, of_drive = self._looked_up(moves, state.remaining)
         command = of_error * error - of_velocity * (velocity - chased) - of_drive * drive
         of_still = self.gains.control[1:, state.remaining.astype(np.intp), 0]
-        still = -of_still[0] * still_velocity - of_still[1] * still_drive
-        command = (rows * command[..., None]).sum(axis=-2) + still
+        still: Floats = -of_still[0] * still_velocity - of_still[1] * still_drive
+        return (rows * command[..., None]).sum(axis=-2) + still
+
+    def _driven(self, state: Belief, command: Floats) -> Belief:
+        """Return the belief after a command, with a control step less to go."""
+        step, limit = self.interface.control_step, self.interface.speed_limit
         velocity = state.velocity + step * state.drive
-        drive = state.drive + step / assumed.lag * (command - state.drive)
+        drive = state.drive + step / self.assumed.lag * (command - state.drive)
         # If the fastest joint must slow down, all do, so that the hand keeps its direction.
         fastest = np.abs(velocity).max(axis=-1, keepdims=True)
-        share = interface.speed_limit / np.maximum(fastest, interface.speed_limit)
+        share = limit / np.maximum(fastest, limit)
         remaining = np.maximum(state.remaining - 1.0, 0.0)
         return state._replace(velocity=share * velocity, drive=share * drive, remaining=remaining)
 

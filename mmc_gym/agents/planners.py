@@ -35,11 +35,11 @@ import numpy as np
 from typing_extensions import override
 
 from mmc_gym.agents.base import JointTargetAgent, where
-from mmc_gym.agents.inverse_kinematics import damped_least_squares, hand_position, iterate
+from mmc_gym.agents.inverse_kinematics import damped_step, hand_position, iterate
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import Sensed
 
-SHORTEST = 0.2  #: T₀: duration of a movement of no length, s
+BASE_DURATION = 0.2  #: T₀: duration of a movement of no length, s
 AVERAGE_SPEED = 4.0  #: v̄: growth of distance with duration, segment lengths / s
 NEW_TARGET_DISTANCE = 0.3  #: a target that moves farther in a control step has jumped, lengths
 HORIZON = 5  #: least number of control steps that remain while the target moves
@@ -47,7 +47,7 @@ ITERATIONS = 3  #: iterations of inverse kinematics in a control step
 
 # The plan moves only a fraction of a length in a step.  So it needs less damping than a solver
 # alone, which keeps the hand on the path.
-_track = partial(damped_least_squares, damping=0.05)
+_track = partial(damped_step, damping=0.05)
 
 
 class MovementTiming(NamedTuple):
@@ -67,7 +67,7 @@ def begin(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
     """Begin a movement of the hand to a target, (..., 2) in segment lengths."""
     way = target - hand
     distance = np.hypot(way[..., 0], way[..., 1])
-    duration = np.ceil((SHORTEST + distance / AVERAGE_SPEED) / control_step - 1e-9)
+    duration = np.ceil((BASE_DURATION + distance / AVERAGE_SPEED) / control_step - 1e-9)
     return MovementTiming(target, np.zeros_like(duration), duration)
 
 

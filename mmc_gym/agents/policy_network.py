@@ -8,7 +8,7 @@ do.  But joint positions mean a direction.  For them there is "target", in which
 until the target, at φ from the base, lies straight ahead:
 
     cos (q_1 − φ), sin (q_1 − φ), cos q_2…q_N, sin q_2…q_N, joint speeds,
-    |target|, e = R(−φ) (target − hand), e / (NEAR + |e|)
+    |target|, e = R(−φ) (target − hand), e / (OFFSET_SCALE + |e|)
 
 A policy with this view gives joint positions in the turned world, where the posture 0 points at the
 target, and `turned_actions` turns them back.

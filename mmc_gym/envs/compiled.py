@@ -19,7 +19,7 @@ from mmc_gym._compiling import compiled
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
 from mmc_gym.envs.reach import HALF_PRECISE
 from mmc_gym.envs.spec import ReachSetup
-from mmc_gym.interface import NEAR
+from mmc_gym.interface import OFFSET_SCALE
 
 Floats = NDArray[np.float64]
 
@@ -158,7 +158,7 @@ def look_and_reward(first, last, constants, arms):
         cosine, sine = cosines[arm, 0], sines[arm, 0]
         if end < seen.shape[0]:
             x, y = cosine * x + sine * y, cosine * y - sine * x
-            scale = NEAR + math.sqrt(x * x + y * y)
+            scale = OFFSET_SCALE + math.sqrt(x * x + y * y)
             seen[end] = cosine * target_x + sine * target_y
             seen[end + 1] = cosine * target_y - sine * target_x
             seen[end + 2] = x

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mmc_gym.agents.body_model.agent import network_of_body
-from mmc_gym.agents.inverse_kinematics import damped_least_squares
+from mmc_gym.agents.inverse_kinematics import damped_step
 from mmc_gym.geometry import Floats, segments_from_joint_angles
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
@@ -99,7 +99,7 @@ def errors(count: int, arguments: Arguments) -> dict[str, Floats]:
         missed[task] = off
     target, posture = goal.sum(axis=1), starts
     for _ in range(arguments.iterations):
-        posture = damped_least_squares(posture, target, network.segment_lengths)
+        posture = damped_step(posture, target, network.segment_lengths)
     hand = segments_from_joint_angles(posture, network.segment_lengths).sum(axis=1)
     missed["inverse, damped least squares"] = np.linalg.norm(hand - target, axis=-1)
     return missed

@@ -16,7 +16,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.parts import Parts
-from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
+from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_step
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
 from mmc_gym.agents.policy import shipped_file
 from mmc_gym.envs.names import FAMILIES
@@ -310,7 +310,7 @@ def test_wrong_arguments_of_agents_are_refused():
         (lambda it: MMCAgent(it, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
         (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
         (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step must be a whole"),
-        (lambda it: InverseKinematicsAgent(it, damped_least_squares, 0), "iterations_per_step"),
+        (lambda it: InverseKinematicsAgent(it, damped_step, 0), "iterations_per_step"),
         (lambda it: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
         (lambda it: Parts(vigour=1.5), "vigour must be a number between 0 and 1, got 1.5"),
     ):

@@ -25,7 +25,7 @@ import numpy as np
 from mmc_gym.agents.base import some
 from mmc_gym.agents.body_model.forward_model import Bools, bounded, hand, turn_share
 from mmc_gym.agents.body_model.senses import LastStep
-from mmc_gym.agents.planners import AVERAGE_SPEED, SHORTEST
+from mmc_gym.agents.planners import AVERAGE_SPEED, BASE_DURATION
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.time_base import share
@@ -116,7 +116,7 @@ class Drive(NamedTuple):
 
         It depends on the straight way of the hand to its goal, (n,), and on the angles left.
         """
-        human = SHORTEST + way / AVERAGE_SPEED
+        human = BASE_DURATION + way / AVERAGE_SPEED
         human = np.maximum(human, PEAK * np.abs(left).max(axis=-1) / interface.speed_limit)
         duration = np.ceil((1 - vigour) * human / interface.control_step - 1e-9)
         return self._replace(
