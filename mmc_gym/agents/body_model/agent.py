@@ -109,8 +109,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             state = self._begin_movements(state, seen)
         state = self._observe(state, seen)
         problem = self._forecast(state)
-        route = self._plan_route(state, problem)
-        joint_targets, state = self._drive(state, problem, route)
+        state = state._replace(route=self._plan_route(state, problem))
+        joint_targets, state = self._drive(state, problem)
         # Late or noisy joint angles are corrected, speeds are as seen.
         now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
         return self.interface.act(joint_targets, now), state
@@ -213,16 +213,20 @@ class BodyAgent(FeedbackAgent[BodyState]):
         is_next_leg = route.ahead < state.route.ahead
         is_new = is_new | is_next_leg
         aim = np.where(is_new, problem.aim, route.aim)
-        return route._replace(aim=aim, begins=begins | is_next_leg, is_new=is_new)
+        follows = state.senses.target.is_moving & ~is_new & (route.ahead == 0)
+        goal_turn = np.zeros_like(goal)
+        if some(follows):
+            turn = self.interface.turn(state.route.goal, route.goal)
+            goal_turn = np.where(follows[:, None], turn, goal_turn)
+        begins = begins | is_next_leg
+        return route._replace(aim=aim, goal_turn=goal_turn, begins=begins, is_new=is_new)
 
-    def _drive(
-        self, state: BodyState, problem: ReachProblem, route: Route
-    ) -> tuple[Floats, BodyState]:
+    def _drive(self, state: BodyState, problem: ReachProblem) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
         interface, now = self.interface, problem.joint_angles
-        left = interface.turn(now, route.next)
+        left = interface.turn(now, state.route.next)
         if self.parts.drives and not interface.has_drive:
-            joint_targets, state = self._invert_servos(state, problem, route, left)
+            joint_targets, state = self._invert_servos(state, problem, left)
         else:
             joint_targets = now + left
         if problem.held is not None:
@@ -230,46 +234,39 @@ class BodyAgent(FeedbackAgent[BodyState]):
             push = 0.0 if interface.has_drive else PUSH
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
-        command = command_of(interface, now, joint_targets)
-        senses = state.senses.record(command, interface)
-        return joint_targets, state._replace(senses=senses, route=route)
+        senses = state.senses.record(command_of(interface, now, joint_targets), interface)
+        return joint_targets, state._replace(senses=senses)
 
     def _invert_servos(
-        self, state: BodyState, problem: ReachProblem, route: Route, left: Floats
+        self, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, BodyState]:
         """Return the joint targets that make the servos turn the joints as they should."""
-        now, memory, noise = problem.joint_angles, state.memory, state.senses.posture.deviation
-        turn, drive = self._turn(state, problem, route, left)
+        memory, noise = state.memory, state.senses.posture.deviation
+        turn, drive = self._turn(state, problem, left)
         if self.learns:
             is_early = 2 * drive.elapsed <= drive.duration
             turn, memory = memory.record_drift(problem, is_early).correct_drift(turn, problem)
+        now = problem.joint_angles
         joint_targets, drive = drive.invert_servos(now, turn, left, noise, self.interface)
         return joint_targets, state._replace(drive=drive, memory=memory)
 
-    def _turn(
-        self, state: BodyState, problem: ReachProblem, route: Route, left: Floats
-    ) -> tuple[Floats, Drive]:
+    def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""
-        interface, drive, met = self.interface, state.drive, state.contacts.met
-        is_moving, goal_turn = state.senses.target.is_moving, np.zeros_like(left)
-        if some(is_moving):
-            follows = is_moving & ~route.is_new & (route.ahead == 0)
-            goal_turn = np.where(
-                follows[:, None], interface.turn(state.route.goal, route.goal), goal_turn
-            )
-        turn = drive.turn(left, goal_turn, interface)
+        route, drive, met = state.route, state.drive, state.contacts.met
+        turn = drive.turn(left, route.goal_turn, self.interface)
         if self.parts.vigour < 1:
-            return self._human_turn(turn, state, problem, route, left)
+            return self._human_turn(turn, state, problem, left)
         if some(met):  # arms that know obstacles keep to the planned route
-            straight = drive.straight(route.begin, problem.joint_angles, route.next, interface)
+            now = problem.joint_angles
+            straight = drive.straight(route.begin, now, route.next, self.interface)
             turn = np.where((met > 0)[:, None], straight, turn)
         return turn, drive
 
     def _human_turn(
-        self, turn: Floats, state: BodyState, problem: ReachProblem, route: Route, left: Floats
+        self, turn: Floats, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, Drive]:
         """Return as much of a turn as a slower movement makes in this step, and the drive."""
-        now, lengths = problem.joint_angles, problem.lengths
+        now, lengths, route = problem.joint_angles, problem.lengths, state.route
         is_moving = state.senses.target.is_moving
         way = np.abs(hand(route.next, lengths) - hand(now, lengths))
         begins = route.begins & ~is_moving  # a moving target is followed, not reached

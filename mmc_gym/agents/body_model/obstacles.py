@@ -185,6 +185,7 @@ class Route(NamedTuple):
     ahead: NDArray[np.intp]  # number of them that are still to be reached, (n,)
     begin: Floats  # posture in which the leg began, on the same turn as its end
     aim: Points  # position of the hand for which the route was planned
+    goal_turn: Floats  # how far the goal turns in this control step, after a moving target
     begins: Bools  # whether a movement begins now, (n,)
     is_new: Bools  # whether the route changes now, of a movement that begins or continues, (n,)
 
@@ -192,8 +193,8 @@ class Route(NamedTuple):
     def start(cls, joint_angles: Floats, aim: Points) -> Route:
         """Return the route that stays."""
         vias = np.repeat(joint_angles[:, None], LEGS - 1, axis=1)
-        ahead, no = np.zeros(len(aim), np.intp), np.zeros(len(aim), bool)
-        return cls(joint_angles, vias, ahead, begin=joint_angles, aim=aim, begins=no, is_new=no)
+        no, still = np.zeros(len(aim), bool), np.zeros_like(joint_angles)
+        return cls(joint_angles, vias, no.astype(np.intp), joint_angles, aim, still, no, no)
 
     @property
     def next(self) -> Floats:
@@ -226,22 +227,23 @@ def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
     return np.hypot(past_end, to_disc.imag).min(axis=(-1, -2))
 
 
-def room(
+def leg_costs(
     interface: ReachInterface, start: Floats, end: Floats, lengths: Floats, discs: Points
-) -> tuple[Floats, Floats]:
-    """Return the free space along straight movements between postures (..., N), and their sweep.
+) -> Floats:
+    """Return the cost of legs between postures (..., N), radians, infinite if not free, (...).
 
-    The first is their distance from discs beyond what is needed, above 0 where they are free; the
-    second is how far they move the ends of all segments together; both in segment lengths, (...).
-    A movement that begins in contact has to lead away from it.
+    A leg is free if it keeps its distance from discs.  One that begins in contact has to lead away.
     """
-    stages = start[..., None, :] + STAGES[:, None] * interface.turn(start, end)[..., None, :]
+    turn = interface.turn(start, end)
+    stages = start[..., None, :] + STAGES[:, None] * turn[..., None, :]
     begin = clearance(start, lengths, discs)[..., None]
     needed = np.minimum(RADIUS + DISC_MARGIN, begin + 2 * DISC_MARGIN * STAGES)
-    spare: Floats = (clearance(stages, lengths, discs) - needed).min(axis=-1)
+    spare = (clearance(stages, lengths, discs) - needed).min(axis=-1)
     ends = np.cumsum(lengths * unit_vectors(stages), axis=-1)
-    swept: Floats = np.abs(np.diff(ends, axis=-2)).sum(axis=(-1, -2))
-    return spare, swept
+    swept = np.abs(np.diff(ends, axis=-2)).sum(axis=(-1, -2))
+    cost = np.abs(turn).max(axis=-1) + LEG + HAZARD * swept
+    cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
+    return np.where(spare > 0, cost, np.inf)
 
 
 class RoadMap:
@@ -291,7 +293,9 @@ class RoadMap:
         nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
         one, other = self._legs(nodes, first_via)
         cost = np.full((len(nodes), len(nodes)), np.inf)
-        cost[one, other] = cost[other, one] = self._cost(nodes[one], nodes[other], lengths, discs)
+        cost[one, other] = cost[other, one] = leg_costs(
+            self.interface, nodes[one], nodes[other], lengths, discs
+        )
         chosen = _shortest(cost, np.arange(1, first_via))
         if chosen is None:
             return None
@@ -316,13 +320,6 @@ class RoadMap:
         is_leg[goals[:, None], to_goal] = True
         return np.nonzero(np.triu(is_leg | is_leg.T))
 
-    def _cost(self, start: Floats, end: Floats, lengths: Floats, discs: Points) -> Floats:
-        """Return the cost of legs, radians, infinite for those that are not free, (...)."""
-        spare, swept = room(self.interface, start, end, lengths, discs)
-        cost = np.abs(self.interface.turn(start, end)).max(axis=-1) + LEG + HAZARD * swept
-        cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
-        return np.where(spare > 0, cost, np.inf)
-
     def _tighten(self, nodes: Floats, lengths: Floats, discs: Points) -> None:
         """Move the postures on a route (legs + 1, N) to where it is cheaper, in place."""
         for k in range(1, len(nodes) - 1):
@@ -330,8 +327,8 @@ class RoadMap:
             here, past = self.interface.turn(before, via), self.interface.turn(before, after)
             share = np.clip((here @ past) / np.maximum(past @ past, 1e-9), 0, 1)
             tried = via + SHORTCUTS[:, None] * (share * past - here)
-            cost = self._cost(before, tried, lengths, discs)
-            cost = cost + self._cost(tried, after, lengths, discs)
+            cost = leg_costs(self.interface, before, tried, lengths, discs)
+            cost = cost + leg_costs(self.interface, tried, after, lengths, discs)
             if np.isfinite(cost.min()):
                 nodes[k] = tried[cost.argmin()]
 
