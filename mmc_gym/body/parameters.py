@@ -35,7 +35,7 @@ class Rod(NamedTuple):
 
 
 @spelt
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArmParameters:
     """Physical parameters of an arm, in segment lengths, segment masses, radians and seconds.
 

@@ -10,6 +10,7 @@ float32, once in some hundred million values.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from mmc_gym._compiling import compiled
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
 from mmc_gym.envs.reach import HALF_PRECISE
-from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.envs.spec import ReachSetup, State
 from mmc_gym.interface import OFFSET_SCALE
 
 Floats = NDArray[np.float64]
@@ -59,52 +60,53 @@ class CompiledStep:
         self._constants = Constants(
             setup.given_body.speed_limit,
             setup.success_distance,
-            setup.precision_weight,
-            setup.control_weight,
-            setup.smoothness_weight,
+            setup.reward.precision_weight,
+            setup.reward.control_weight,
+            setup.reward.smoothness_weight,
             layout.limits if layout.is_clipped else np.empty(0, np.float32),
         )
-        self._is_sparse = setup.reward_type == "sparse"
+        self._is_sparse = setup.reward.is_sparse
 
-    def __call__(
-        self,
-        actions: NDArray[np.floating] | None,
-        *,
-        hands: Floats,
-        targets: Floats,
-        may_succeed: NDArray[np.bool_],
-        speeds: Floats,
-        observation: Any,
+    def look(self, state: State) -> tuple[Floats, dict[str, Any]]:
+        """Return rewards and infos of the present state; write observations and speeds."""
+        return self._look(state, lambda first, last: None)
+
+    def move_and_look(
+        self, actions: NDArray[np.floating], state: State
     ) -> tuple[Floats, dict[str, Any]]:
-        """Return rewards and infos; write observations without noise, and the `speeds` of now.
-
-        Arrays are those of `Arms`.  With actions (n, N) the arms move first, and the engine writes
-        `hands`.  The observation of a goal environment is a mapping.
-        """
-        engine, count = self._arms, len(targets)
+        """Let all arms carry out their actions, (n, N), then do as `look`."""
         _, scale, is_relative = self._action
+
+        def move(first: int, last: int) -> None:
+            self._arms.command_arms(actions, scale, is_relative, first, last)
+            self._arms.step_arms(first, last)
+
+        return self._look(state, move)
+
+    def _look(
+        self, state: State, move: Callable[[int, int], None]
+    ) -> tuple[Floats, dict[str, Any]]:
+        engine, seen, count = self._arms, state.observation, len(state.targets)
         end_effector, target = np.empty((count, 2)), np.empty((count, 2))
-        copies, seen = [(end_effector, engine.end_effectors), (target, targets)], observation
-        if isinstance(observation, dict):
-            seen = observation["observation"]
-            copies += (observation["achieved_goal"], hands), (observation["desired_goal"], targets)
+        copies = [(end_effector, engine.end_effectors), (target, state.targets)]
+        if isinstance(seen, dict):
+            copies += [(seen["achieved_goal"], state.hands), (seen["desired_goal"], state.targets)]
+            seen = seen["observation"]
         arms = Arms(
             engine.joint_cosines,
             engine.joint_sines,
             engine.joint_velocities,
-            hands,
-            targets,
-            may_succeed,
-            speeds,
+            state.hands,
+            state.targets,
+            state.may_succeed,
+            state.speeds,
             seen,
             terms=np.empty((6, count)),
             is_success=np.empty(count, dtype=bool),
         )
 
         def advance(first: int, last: int) -> None:
-            if actions is not None:
-                engine.command_arms(actions, scale, is_relative, first, last)
-                engine.step_arms(first, last)
+            move(first, last)
             for copy, original in copies:
                 copy[first:last] = original[first:last]
             look_and_reward(first, last, self._constants, arms)

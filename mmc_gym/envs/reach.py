@@ -7,20 +7,21 @@ from collections import deque
 from collections.abc import Sequence
 from functools import reduce
 from operator import add, mul, sub
-from typing import TYPE_CHECKING, Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require_array, require_choice
+from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
+from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
 from mmc_gym.envs.spec import (
     GoalSetup,
     ReachEnvironment,
     ReachSetup,
-    check_names,
+    RewardSettings,
     require_finite_numbers,
 )
 from mmc_gym.envs.workspace import Point, distances
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
     from mmc_gym.envs.render import Renderer, Scene
 
 Info = dict[str, Any]
-Floats = NDArray[np.float64]
+Number = TypeVar("Number", float, NDArray[np.floating])
+Numbers = Sequence[Any] | NDArray[np.floating]  # joints first
 HALF_PRECISE = 0.05  # segment lengths
 
 
@@ -106,14 +108,12 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `env.unwrapped.parameters` is the arm that agents are given.
 
     ## Arguments
-    `control`, `reward_type` ("dense", "sparse"), `control_weight` (1), `precision_weight` (1),
-    `smoothness_weight` (0), `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task`
-    (a name or a `Task`; by name only tasks with the id's number of steps), `perturbations` (names
-    or `Perturbation`s), `engine` ("pymunk", "analytic"), and any field of
-    `mmc_gym.body.ArmParameters` by name: `segment_lengths`, `segment_masses`, `speed_limit`,
-    `torque_limit`, `servo_gain`, `joint_limits`, `gravity`, `drive_inertia`, `substep`, `substeps`,
-    and those that perturbations set.  The arm has as many joints as `segment_lengths`; action and
-    observation grow with it.
+    `control`, `reward_type` ("dense", "sparse"), `control_weight`, `precision_weight`,
+    `smoothness_weight`, `success_distance`, `render_mode` ("human", "rgb_array"), `task` (a name or
+    a `Task`; by name only tasks with the id's number of steps), `perturbations` (names or
+    `Perturbation`s), `engine` ("pymunk", "analytic"), and the fields of
+    `mmc_gym.body.ArmParameters`; the signature has the defaults.  The arm has as many joints as
+    `segment_lengths`; action and observation grow with it.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
     does; it has no window.  Long after the last reset it cannot be copied, see `mmc_gym.body.Arm`.
@@ -122,14 +122,15 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     * v0: initial version
     """
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    metadata = {"render_modes": [*RENDER_MODES], "render_fps": 50}
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        """Make the environment; the class docstring lists the arguments."""
-        check_names(arguments, "render_mode")
-        require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        self.setup = setup = self.make_setup(**arguments)
-        self.render_mode = render_mode
+    @takes(SingleArguments)
+    def __init__(self, arguments: SingleArguments) -> None:
+        """Make the environment; the class docstring explains the arguments."""
+        self._make(ReachSetup(arguments), arguments.render_mode)
+
+    def _make(self, setup: ReachSetup, render_mode: str | None) -> None:
+        self.setup, self.render_mode = setup, render_mode
         self.metadata = {**type(self).metadata, "render_fps": setup.frame_rate}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
@@ -293,7 +294,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
         distance = _distance(hand, target)
         is_success = distance <= setup.success_distance and self._is_last_target
-        reward, info = reward_and_info(setup, distance, is_success, speeds, self._speeds)
+        reward, info = reward_and_info(distance, is_success, speeds, self._speeds, setup.reward)
         self._speeds = speeds
         info["end_effector"] = np.array(arm.end_effector)
         info["target"] = np.array(target)
@@ -328,27 +329,25 @@ def _distance(hand: Point, target: Point) -> float:
     return math.sqrt(x * x + y * y)
 
 
-def precision(setup: ReachSetup, distance: Any) -> Any:
+def precision(distance: Number, weight: float) -> Number:
     """Return the reward for precision: its weight on the target, and half of it 0.05 away."""
-    return setup.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
+    return weight * (HALF_PRECISE / (HALF_PRECISE + distance))
 
 
 def reward_and_info(
-    setup: ReachSetup,
-    distance: Any,
+    distance: Number,
     is_success: Any,
-    speeds: Sequence[Any] | Floats,
-    speeds_before: Sequence[Any] | Floats,
-) -> tuple[Any, Info]:
+    speeds: Numbers,
+    speeds_before: Numbers,
+    settings: RewardSettings,
+) -> tuple[Number, Info]:
     """Return the reward of a state, and the infos that explain it.
 
     The distance is from the target to the hand, or to the cursor that stands for it.  Speeds of the
     joints, now and one control step earlier, are fractions of their limit, joints first.
     """
-    reward_control = _minus_mean_square(speeds, setup.control_weight)
-    reward_precision = precision(setup, distance)
-    is_sparse = setup.reward_type == "sparse"
-    reward = is_success - 1.0 if is_sparse else -distance + reward_precision + reward_control
+    reward_control = _minus_mean_square(speeds, settings.control_weight)
+    reward_precision = precision(distance, settings.precision_weight)
     info = {
         "distance": distance,
         "is_success": is_success,
@@ -356,15 +355,15 @@ def reward_and_info(
         "reward_precision": reward_precision,
         "reward_control": reward_control,
     }
-    if setup.smoothness_weight:
+    reward = -distance + reward_precision + reward_control
+    if settings.smoothness_weight:
         changes = list(map(sub, speeds, speeds_before))
-        info["reward_smoothness"] = _minus_mean_square(changes, setup.smoothness_weight)
-        if not is_sparse:
-            reward = reward + info["reward_smoothness"]
-    return reward, info
+        info["reward_smoothness"] = _minus_mean_square(changes, settings.smoothness_weight)
+        reward = reward + info["reward_smoothness"]
+    return (is_success - 1.0 if settings.is_sparse else reward), info
 
 
-def _minus_mean_square(speeds: Sequence[Any] | Floats, weight: float) -> Any:
+def _minus_mean_square(speeds: Numbers, weight: float) -> Any:
     """Return minus `weight` times the mean square over the first axis."""
     # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
     squares: Any = reduce(add, map(mul, speeds, speeds))
@@ -372,9 +371,7 @@ def _minus_mean_square(speeds: Sequence[Any] | Floats, weight: float) -> Any:
 
 
 class GoalEnvironment(ReachEnvironment):
-    """The setup of a goal environment, and rewards for relabelled transitions."""
-
-    make_setup = GoalSetup
+    """Rewards for relabelled transitions."""
 
     def compute_reward(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
@@ -383,9 +380,9 @@ class GoalEnvironment(ReachEnvironment):
         del info
         hands, targets = (np.asarray(goal, np.float64) for goal in (achieved_goal, desired_goal))
         setup, distance = self.setup, distances(hands, targets)
-        if setup.reward_type == "sparse":
+        if setup.reward.is_sparse:
             return (distance <= setup.success_distance) - 1.0
-        return -distance + precision(setup, distance)
+        return -distance + precision(distance, setup.reward.precision_weight)
 
     def compute_terminated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
@@ -417,3 +414,8 @@ class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
     ## Version History
     * v0: initial version
     """
+
+    @takes(SingleGoalArguments)
+    def __init__(self, arguments: SingleGoalArguments) -> None:
+        """Make the environment; the class docstring explains the arguments."""
+        self._make(GoalSetup(arguments), arguments.render_mode)

@@ -1,4 +1,4 @@
-"""The setup of a reaching environment: its arguments, checked, and all that follows from them.
+"""The setup of a reaching environment: what follows from its arguments.
 
 The single and the vector environment share it, and nothing in it changes while they run.
 """
@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from inspect import signature
 from operator import attrgetter
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -20,33 +19,22 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
-    LARGEST_SIZE,
     UserError,
     is_point,
     is_whole,
     require,
-    require_between,
     require_choice,
-    require_known,
     require_numbers,
     require_rows,
 )
-from mmc_gym.body import ArmParameters, Engine
+from mmc_gym.body import ArmParameters
+from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
-from mmc_gym.envs.perturbations import Cursor, LockedJoint, Noise, Perturbation, SensoryDelay
-from mmc_gym.envs.tasks import RandomTarget, Request, Task, Trial
-from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace
-from mmc_gym.interface import (
-    CONTROLS,
-    Control,
-    ObservationLayout,
-    Seen,
-    action_meaning,
-    relative_speeds,
-)
+from mmc_gym.envs.perturbations import Cursor, LockedJoint, Noise, SensoryDelay
+from mmc_gym.envs.tasks import RandomTarget, Request, Trial
+from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, shared_ring
+from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_speeds
 
-RewardType = Literal["dense", "sparse"]
-AnyChange: TypeAlias = str | Perturbation | Change
 _MOST_TRIALS = 300
 _TRIED = 10  # trials of your own task, when the environment is made
 
@@ -59,57 +47,52 @@ class Options(NamedTuple):
     trial: int | None = None
 
 
+class RewardSettings(NamedTuple):
+    """The numbers that the reward depends on."""
+
+    control_weight: float
+    precision_weight: float
+    smoothness_weight: float
+    is_sparse: bool
+
+
+class State(NamedTuple):
+    """Arrays of n arms: what a compiled step reads, and from `speeds` on what it writes."""
+
+    hands: NDArray[np.float64]  #: where the hands are, or their cursors, (n, 2)
+    targets: NDArray[np.float64]  #: (n, 2)
+    may_succeed: NDArray[np.bool_]  #: whether the target is the last one, (n,)
+    speeds: NDArray[np.float64]  #: of the joints, shares of the limit, a step earlier, (n, N)
+    observation: Any  #: without noise; that of a goal environment is a mapping
+
+
 class ReachSetup:
-    """The arguments of `MMCReachEnv`, and what follows from them."""
+    """What follows from the arguments of a reaching environment."""
 
     observation_space: spaces.Space[Any]
 
-    def __init__(
-        self,
-        *,
-        control: Control = "joint_delta",
-        reward_type: RewardType = "dense",
-        control_weight: float = 1.0,
-        precision_weight: float = 1.0,
-        smoothness_weight: float = 0.0,
-        success_distance: float = 0.05,
-        task: str | Task = "random",
-        perturbations: AnyChange | Sequence[AnyChange] = (),
-        engine: Engine = "pymunk",
-        **arm_parameters: Any,
-    ) -> None:
-        """Check the arguments, which `MMCReachEnv` lists."""
-        require_choice("control", control, CONTROLS)
-        require_choice("reward_type", reward_type, get_args(RewardType))
-        require_between(
-            0,
-            LARGEST_SIZE,
-            control_weight=control_weight,
-            precision_weight=precision_weight,
-            smoothness_weight=smoothness_weight,
-            success_distance=success_distance,
+    def __init__(self, arguments: ReachArguments) -> None:
+        """Check what the arguments are together; raise a `UserError` if they do not fit."""
+        self.control, self.engine = arguments.control, arguments.engine
+        self.success_distance = arguments.success_distance
+        self.reward = RewardSettings(
+            arguments.control_weight,
+            arguments.precision_weight,
+            arguments.smoothness_weight,
+            is_sparse=arguments.reward_type == "sparse",
         )
-        self.control: Control = control
-        self.reward_type: RewardType = reward_type
-        self.control_weight = float(control_weight)
-        self.precision_weight = float(precision_weight)
-        self.smoothness_weight = float(smoothness_weight)
-        self.success_distance = float(success_distance)
-        self.engine: Engine = engine
-        self.task = as_task(task)
+        self.task = as_task(arguments.task)
         #: the name by which the task was given, or None
-        self.task_name = task if isinstance(task, str) else None
-        if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
-            perturbations = (perturbations,)
-        changes = [as_change(one) for one in perturbations]
+        self.task_name = arguments.task if isinstance(arguments.task, str) else None
+        changes = _changes(arguments.perturbations)
         self.perturbations = tuple(one.perturbation for one in changes)
-        names = [one.name for one in changes]
-        task_names = [] if task == "random" else [self.task_name or type(self.task).__name__]
+        task = [] if arguments.task == "random" else [self.task_name or type(self.task).__name__]
         #: task and perturbations, for a picture; empty without any
-        self.caption = ", ".join([*task_names, *names])
-        self.unperturbed = ArmParameters(**arm_parameters)  #: the arm of the arguments
-        self._apply_perturbations(self.unperturbed, names)
-        self.action = action_meaning(control, self.given_body)  #: what actions mean for the servos
+        self.caption = ", ".join([*task, *(one.name for one in changes)])
+        self.unperturbed = arguments.arm  #: the arm of the arguments
+        self._disturb_senses(changes)
+        self._change_arm(changes)
+        self.action = action_meaning(self.control, self.given_body)  #: what actions mean
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
         # With noise, a longer arm or a cursor, observed values may exceed the limits.
@@ -128,33 +111,37 @@ class ReachSetup:
         for seed in range(_TRIED if self._is_own_task else 1):  # rather than later, in an episode
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
 
-    def _apply_perturbations(self, parameters: ArmParameters, names: Sequence[str]) -> None:
-        changes, step = self.perturbations, parameters.control_step
-        #: the simulated arm, with all perturbations; the given one, with those that are `known`
-        self.body = self.given_body = parameters
-        for name, change in zip(names, changes, strict=True):
-            self.body = _changed(name, change, self.body)
-            self.given_body = _changed(name, change, self.given_body, change.known)
-        self.noises = [change for change in changes if isinstance(change, Noise)]  #: of the senses
-        delays = [change for change in changes if isinstance(change, SensoryDelay)]
-        seconds = sum(change.seconds for change in delays)
+    def _disturb_senses(self, changes: Sequence[Change]) -> None:
+        """Collect noise and delay of the senses."""
+        step = self.unperturbed.control_step
+        self.noises = [one for one in self.perturbations if isinstance(one, Noise)]  #: of senses
+        late = [one.name for one in changes if isinstance(one.perturbation, SensoryDelay)]
+        seconds = sum(one.seconds for one in self.perturbations if isinstance(one, SensoryDelay))
         self.delay = round(seconds / step)  #: of the senses, control steps
         if seconds and not self.delay:
-            late = names[changes.index(delays[0])]
             raise UserError(
-                f"{late} would delay nothing: delays are whole control steps of "
+                f"{late[0]} would delay nothing: delays are whole control steps of "
                 f"{1000 * step:g} ms, such as delay-{1000 * step:g} or delay-{2000 * step:g}"
             )
         self.are_senses_disturbed = bool(self.noises or self.delay)
-        times = {change.time for change in changes if isinstance(change, LockedJoint)}
+
+    def _change_arm(self, changes: Sequence[Change]) -> None:
+        """Apply the perturbations to the arm, and find where hand and target can be."""
+        #: the simulated arm, with all perturbations; the given one, with those that are `known`
+        self.body = self.given_body = self.unperturbed
+        for one in changes:
+            self.body = _changed(one, self.body)
+            if one.known:
+                self.given_body = _changed(one, self.given_body)
+        times = {one.time for one in self.perturbations if isinstance(one, LockedJoint)}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         #: control steps after which joints lock, or None
-        self.lock_step = round(times.pop() / step) if times else None
+        self.lock_step = round(times.pop() / self.unperturbed.control_step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
+        self.cursor = self._cursor()  #: that stands for the hand, or None
         #: where hand and target can be
-        self.workspace = Workspace(self.body, self.given_body, locked)
-        self.cursor = self.workspace.cursor = self._cursor()  #: that stands for the hand, or None
+        self.workspace = Workspace(self.body, self.given_body, locked, self.cursor)
         reach = sum(self.body.segment_lengths)
         #: distance from the base that the hand, or its cursor, never exceeds
         self.farthest = self.cursor.farthest(reach) if self.cursor else reach
@@ -166,8 +153,8 @@ class ReachSetup:
         require(len(cursors) <= 1, "perturbations", cursors, accepted)
         if not cursors:
             return None
-        (x, y), reach = self.task.start or (0.0, 0.0), self.workspace.outer
-        centre = cursors[0].centre or (x * reach, y * reach)
+        (x, y), (_, outer) = self.task.start or (0.0, 0.0), shared_ring(self.body, self.given_body)
+        centre = cursors[0].centre or (x * outer, y * outer)
         cursor: Cursor = replace(cursors[0], centre=centre)  # type: ignore[type-var]
         return cursor
 
@@ -289,30 +276,31 @@ class ReachSetup:
         return int(trial)
 
 
-def _changed(
-    name: str, change: Perturbation, body: ArmParameters, is_given: bool = True
-) -> ArmParameters:
+def _changes(perturbations: Any) -> list[Change]:
+    """Return one perturbation, or a sequence of them, as a list."""
+    if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
+        perturbations = (perturbations,)
+    return [as_change(one) for one in perturbations]
+
+
+def _changed(change: Change, body: ArmParameters) -> ArmParameters:
     """Return the arm under a perturbation; an error names it."""
     try:
-        changed = change.change_body(body) if is_given else body
+        changed = change.perturbation.change_body(body)
     except UserError as error:
-        raise UserError(f"{name} is not possible for this arm: {error}") from error
+        raise UserError(f"{change.name} is not possible for this arm: {error}") from error
+    name = f"what {change.name}.change_body returns"
     accepted = "the changed ArmParameters, as from dataclasses.replace(body, ...)"
-    require(
-        isinstance(changed, ArmParameters), f"what {name}.change_body returns", changed, accepted
-    )
+    require(isinstance(changed, ArmParameters), name, changed, accepted)
     return changed
 
 
 class GoalSetup(ReachSetup):
-    """The arguments of `MMCReachGoalEnv`, and what follows from them."""
+    """What follows from the arguments of a goal environment."""
 
-    def __init__(self, *, reward_type: RewardType = "sparse", **arguments: Any) -> None:
-        """Check the arguments; raise a `UserError` if the reward would not follow from goals."""
-        for name in ("control_weight", "smoothness_weight"):
-            weight = arguments.pop(name, 0.0)
-            require(weight == 0.0, name, weight, "0: the reward is a function of the goals")
-        super().__init__(reward_type=reward_type, control_weight=0.0, **arguments)
+    def __init__(self, arguments: ReachArguments) -> None:
+        """Raise a `UserError` if the reward would not follow from goals."""
+        super().__init__(arguments)
         if self.noises or self.delay or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
@@ -327,7 +315,6 @@ class GoalSetup(ReachSetup):
 class ReachEnvironment:
     """The common part of the single and the vector environment."""
 
-    make_setup: ClassVar[type[ReachSetup]] = ReachSetup
     setup: ReachSetup
     _spec: EnvSpec | None = None
 
@@ -376,13 +363,6 @@ def _by_name(perturbations: Any) -> Any:
     if not isinstance(perturbations, list | tuple):
         return perturbations
     return [one.name if isinstance(one, Change) and one.family else one for one in perturbations]
-
-
-def check_names(arguments: Iterable[str], *own: str) -> None:
-    """Raise a `UserError` for an argument that is neither the setup's nor in `own`."""
-    setup = [name for name in signature(ReachSetup).parameters if name != "arm_parameters"]
-    known = (*own, *setup, *signature(ArmParameters).parameters)
-    require_known("the environment", arguments, known)
 
 
 def require_finite_numbers(name: str, value: ArrayLike, count: int) -> list[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -21,13 +21,12 @@ from mmc_gym._errors import (
     is_whole,
     require,
     require_array,
-    require_choice,
-    require_whole,
 )
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
+from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
-from mmc_gym.envs.spec import Options, ReachEnvironment, check_names
+from mmc_gym.envs.spec import GoalSetup, Options, ReachEnvironment, ReachSetup, State
 from mmc_gym.envs.workspace import distances
 from mmc_gym.interface import Seen, relative_speeds
 
@@ -37,8 +36,9 @@ if TYPE_CHECKING:
 
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Looked = tuple[Any, NDArray[Any], Info]  # observation, rewards and infos
 _EVERY = slice(None)
-_MOST_ARMS = 10**8
 
 
 class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -62,38 +62,26 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        max_episode_steps: int | Literal["task"] | None = "task",
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int = 1,
-        copy: bool = True,
-        **arguments: Any,
-    ) -> None:
-        """Make the environment; the class docstring lists the arguments."""
-        drawn = arguments.pop("render_mode", None)
-        require(drawn is None, "render_mode", drawn, "left out; vectorization_mode='sync' draws")
-        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy")
-        check_names(arguments, *own)
-        self.setup = setup = self.make_setup(**arguments)
-        if max_episode_steps == "task":
-            max_episode_steps = setup.task.episode_steps
-        if max_episode_steps is not None:
-            max_episode_steps = require_whole("max_episode_steps", max_episode_steps)
-        self.max_episode_steps = max_episode_steps
-        self.num_envs = num_envs = require_whole("num_envs", num_envs, most=_MOST_ARMS)
-        if not isinstance(autoreset_mode, AutoresetMode):
-            require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+    @takes(VectorArguments)
+    def __init__(self, arguments: VectorArguments) -> None:
+        """Make the environment; the class docstrings explain the arguments."""
+        self._make(ReachSetup(arguments), arguments)
+
+    def _make(self, setup: ReachSetup, arguments: VectorArguments) -> None:
+        self.setup = setup
+        steps = arguments.max_episode_steps
+        self.max_episode_steps = setup.task.episode_steps if steps == "task" else steps
+        self.num_envs = num_envs = arguments.num_envs
+        self.autoreset_mode = AutoresetMode(arguments.autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space = setup.action_space
         self.single_observation_space = space = setup.observation_space
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
-        self._body = make_arms(setup.engine, setup.body, num_envs, setup.action.servo, threads)
-        self._copy = copy
+        self._body = make_arms(
+            setup.engine, setup.body, num_envs, setup.action.servo, arguments.threads
+        )
+        self._copy = arguments.copy
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
         self._paths = np.zeros((num_envs, setup.path_length, 2))
@@ -135,13 +123,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         arms = np.flatnonzero(mask)
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
-        observation, _, info = self._look_and_reward(arms)
+        observation, _, info = self._look_at(arms)
         self._show_start(arms, observation)
         return self._shown(), spread(info, mask)
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Info]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Any, Floats, Bools, Bools, Info]:
         """Hand each arm its action, (n, N), and simulate one control step.
 
         If an action is not accepted, the arms stay as they were.
@@ -160,13 +146,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps += 1
         if self._is_fused and not len(waiting):
             self._move_targets()
-            observation, rewards, info = self._move_look_and_reward(values)
+            observation, rewards, info = self._move_and_look(values)
         else:
             self._move(values)
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
-            observation, rewards, info = self._look_and_reward(_EVERY)
+            observation, rewards, info = self._look()
         if self.setup.lock_step:
             self._body.lock(np.flatnonzero(self._steps == self.setup.lock_step))
         self._late = [*self._late[1:], observation]
@@ -258,20 +244,44 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: infos[name][arms] for name in names}, over)
         self._place(arms, Options())
-        observation, _, info = self._look_and_reward(arms)
+        observation, _, info = self._look_at(arms)
         self._show_start(arms, observation)
         for name, values in info.items():
             infos[name][arms] = values
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
-    def _look_and_reward(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
-        """Return observation, reward and info of the present state of these arms.
+    def _look(self) -> Looked:
+        """Return observation, reward and info of all arms in their present state."""
+        if self._compiled is None:
+            return self._look_at(_EVERY)
+        state = self._state()
+        return self._with_senses(state, *self._compiled.look(state))
+
+    def _move_and_look(self, actions: NDArray[np.floating]) -> Looked:
+        """Do the work of `_move` and `_look` in one compiled pass."""
+        assert self._compiled is not None
+        state = self._state()
+        return self._with_senses(state, *self._compiled.move_and_look(actions, state))
+
+    def _state(self) -> State:
+        """Return what the compiled step reads and writes."""
+        return State(
+            self._seen_hands(_EVERY),
+            self._targets,
+            self._is_at_last_target(_EVERY),
+            self._speeds,
+            self._late[0],  # was shown in the last step
+        )
+
+    def _with_senses(self, state: State, rewards: Floats, info: Info) -> Looked:
+        return self._sensed(_EVERY, state.hands, state.observation, info), rewards, info
+
+    def _look_at(self, arms: Indices | slice) -> Looked:
+        """Return observation, reward and info of these arms in their present state.
 
         Their speeds are remembered for the cost of smoothness in the next step.
         """
-        if self._compiled is not None and arms is _EVERY:
-            return self._move_look_and_reward(None)
         setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
         speeds = relative_speeds(self._body.joint_velocities[arms], setup.given_body.speed_limit)
         observation: Any = None
@@ -281,35 +291,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         distance = distances(hands, targets)
         is_success = (distance <= self.success_distance) & self._is_at_last_target(arms)
         before = self._speeds[arms].T
-        rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
+        rewards, info = reward_and_info(distance, is_success, speeds.T, before, setup.reward)
         self._speeds[arms] = speeds
         info["end_effector"] = self._body.end_effectors[arms].copy()
         info["target"] = targets.copy()
         return self._sensed(arms, hands, observation, info), rewards, info
 
-    def _move_look_and_reward(
-        self, actions: NDArray[np.floating] | None
-    ) -> tuple[Any, NDArray[np.float64], Info]:
-        """Do the work of `_move` and `_look_and_reward` for all arms in one compiled pass.
-
-        Without actions the arms do not move.
-        """
-        assert self._compiled is not None
-        hands = self._seen_hands(_EVERY)
-        observation = self._late[0]  # was shown in the last step
-        rewards, info = self._compiled(
-            actions,
-            hands=hands,
-            targets=self._targets,
-            may_succeed=self._is_at_last_target(_EVERY),
-            speeds=self._speeds,
-            observation=observation,
-        )
-        return self._sensed(_EVERY, hands, observation, info), rewards, info
-
-    def _sensed(
-        self, arms: Indices | slice, hands: NDArray[np.float64], observation: Any, info: Info
-    ) -> Any:
+    def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
         """Return what these arms observe, noise included; write the cursor into `info`."""
         if self.setup.cursor is not None:
             info["cursor"] = hands
@@ -330,7 +318,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Return the observation that has arrived."""
         return deepcopy(self._late[0]) if self._copy else self._late[0]
 
-    def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
+    def _seen_hands(self, arms: Indices | slice) -> Floats:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
         if self.setup.cursor is None:
@@ -364,6 +352,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
 class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
     """`MMCReachGoalEnv` as a vector environment; see `MMCReachVectorEnv`."""
+
+    @takes(VectorGoalArguments)
+    def __init__(self, arguments: VectorGoalArguments) -> None:
+        """Make the environment; the class docstrings explain the arguments."""
+        self._make(GoalSetup(arguments), arguments)
 
 
 def pick(observation: Any, arms: Any) -> Any:

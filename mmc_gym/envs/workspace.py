@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,18 +15,29 @@ from mmc_gym.geometry import Floats, node_positions, reachable_radii, segments_f
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
-    from mmc_gym.envs.perturbations import Cursor
+
+Point = tuple[float, float]
 
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
 _CELLS = 60  # grid cells across the reach, where joint limits shape the reachable set
 _MOST_POSTURES, _MOST_TARGETS = 10_000, 100
 
-Point = tuple[float, float]
-
 
 class NoTarget(UserError):
     """No target was found; there may be one for another posture."""
+
+
+class ShownHand(Protocol):
+    """A cursor that stands for the hand, see `mmc_gym.envs.perturbations.Cursor`."""
+
+    centre: Point | None
+
+    def cursor(self, x: Any, y: Any, target: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return where the cursor is for a hand at (x, y)."""
+
+    def hand(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return where the hand is for a cursor at (x, y)."""
 
 
 class Workspace:
@@ -38,27 +49,25 @@ class Workspace:
 
     inner: float  #: smallest distance of a reachable point from the base, with all joints free
     outer: float  #: largest distance, likewise
-    cursor: Cursor | None = None  #: whose cursor must reach a target in place of the hand
 
     def __init__(
         self,
         body: ArmParameters,
         given_body: ArmParameters | None = None,
         locked: Sequence[int] = (),
+        cursor: ShownHand | None = None,
     ) -> None:
         """Make the workspace of `body`, in which the joints `locked` (indices) never move.
 
         Targets are reached by `given_body`, too: the arm that agents are given, by default the
-        same.
+        same.  With a `cursor`, that one must reach a target in place of the hand.
 
         Raises:
             UserError: if there is nothing that both can reach.
         """
         self.body, self.given_body = body, given_body or body
-        self.locked = tuple(locked)
-        rings = [reachable_radii(arm.segment_lengths) for arm in (self.body, self.given_body)]
-        self.inner = max(inner for inner, _ in rings)
-        self.outer = min(outer for _, outer in rings)
+        self.locked, self.cursor = tuple(locked), cursor
+        self.inner, self.outer = shared_ring(self.body, self.given_body)
         if self.inner > self.outer * (1 + REACH_TOLERANCE):
             raise self._no_target()
         limits = body.joint_limits
@@ -217,6 +226,12 @@ class Workspace:
     def _is_in_ring(self, point: Point) -> bool:
         slack = REACH_TOLERANCE * self.outer
         return self.inner - slack <= math.hypot(*point) <= self.outer + slack
+
+
+def shared_ring(*arms: ArmParameters) -> tuple[float, float]:
+    """Return the smallest and the largest distance from the base that all these arms reach."""
+    rings = [reachable_radii(arm.segment_lengths) for arm in arms]
+    return max(inner for inner, _ in rings), min(outer for _, outer in rings)
 
 
 def distances(hands: Floats, targets: Floats) -> Floats:

@@ -123,7 +123,7 @@ def test_observation_and_info_tell_the_state(lengths, control, weight, smoothnes
         assert info["is_success"] == (info["distance"] <= 0.05)
         assert info["reward_distance"] == -info["distance"]
         assert info["reward_control"] == pytest.approx(-weight * np.mean(speeds**2), abs=1e-6)
-        assert info["reward_precision"] == precision(env.setup, info["distance"])
+        assert info["reward_precision"] == precision(info["distance"], weight=1.0)
         if smoothness:
             cost = -smoothness * np.mean((speeds - before) ** 2)
             assert info["reward_smoothness"] == pytest.approx(cost, abs=1e-5)
@@ -157,7 +157,7 @@ def test_joints_go_to_pi_times_the_action_and_standing_at_the_target_is_never_th
     assert all(info["is_success"] for *_, info in ends[100:])
     assert ends[-1][1] == pytest.approx(2.5, abs=0.1)
     # … and half of the weight is paid five hundredths away.
-    assert [precision(env.setup, distance) for distance in (0.0, 0.05)] == [2.5, 1.25]
+    assert [precision(distance, weight=2.5) for distance in (0.0, 0.05)] == [2.5, 1.25]
 
 
 @pytest.mark.parametrize(("control", "fraction"), [("joint_delta", 0.85), ("joint_velocity", 1.0)])
@@ -274,7 +274,7 @@ def test_the_analytic_engine_refuses_joints_that_it_cannot_tell_apart(arm):
 
 
 def test_the_goal_environment_has_no_costs_and_goals_that_tell_the_reward():
-    assert MMCReachGoalEnv(control_weight=0.0).setup.control_weight == 0.0
+    assert MMCReachGoalEnv(control_weight=0.0).setup.reward.control_weight == 0.0
     for weight in ("control_weight", "smoothness_weight"):
         with pytest.raises(UserError, match=f"{weight} must be 0"):
             MMCReachGoalEnv(**{weight: 0.1})

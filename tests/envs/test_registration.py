@@ -5,7 +5,10 @@ A few are tried every day, all of them by `make test-all`.
 """
 
 import copy
+import inspect
 import pickle
+from collections import Counter
+from dataclasses import fields
 from functools import partial
 from itertools import combinations, cycle, pairwise, product
 
@@ -19,6 +22,8 @@ import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
+from mmc_gym.body import ArmParameters
+from mmc_gym.envs import names, scenarios
 from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
 from mmc_gym.envs.perturbations import (
     ForceField,
@@ -31,7 +36,7 @@ from mmc_gym.envs.perturbations import (
     VisionNoise,
     VisuomotorRotation,
 )
-from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_environment, parse_scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS
@@ -99,6 +104,68 @@ def test_a_wrong_name_is_refused_with_a_hint():
     ):
         with pytest.raises(UserError, match=hint):
             parse_scenario(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "guess"),
+    [
+        ("rotation-3x", "rotation"),  # never the word that is refused
+        ("rotatoin-3x", "rotation"),
+        ("rotatoin--3", "rotation--3"),
+        ("Longer-35-known", "longer-35-known"),
+        ("centreout+delay-40", "centre-out"),
+    ],
+)
+def test_what_is_suggested_is_accepted(name, guess):
+    with pytest.raises(UserError, match=f"is not accepted; did you mean '{guess}'"):
+        parse_scenario(name)
+    parse_scenario(guess)
+
+
+def test_a_strength_is_exact():
+    change = parse_scenario("longer-20-known").changes[0].with_strength(1 / 3)
+    assert change.perturbation == SegmentLength(1 + 1 / 300, known=True)
+    assert change == parse_scenario(change.name).changes[0]
+    env = mmc_gym.make("random", perturbations=[change])
+    assert env.spec.kwargs["perturbations"] == [change.name]  # a file can hold it
+
+
+def test_compare_parses_once_and_makes_an_environment_an_agent_and_one_vector(monkeypatch):
+    calls = Counter()
+
+    def count(owner, name):
+        plain = getattr(owner, name)
+
+        def counted(*args, **arguments):
+            calls[owner.__name__.rpartition(".")[2], name] += 1
+            return plain(*args, **arguments)
+
+        monkeypatch.setattr(owner, name, counted)
+
+    count(scenarios, "parse_parts")
+    count(names, "parse_change")
+    count(MMCReachEnv, "_make")
+    count(MMCReachVectorEnv, "_make")
+    found = mmc_gym.compare(["mmc", "ik-dls", "minimum-jerk"], "rotation-30", episodes=3)
+    assert found.agents == ["mmc", "ik-dls", "minimum-jerk"]
+    assert calls == {
+        ("scenarios", "parse_parts"): 1,
+        ("names", "parse_change"): 1,
+        ("MMCReachEnv", "_make"): 3,
+        ("MMCReachVectorEnv", "_make"): 1,
+    }
+
+
+def test_help_lists_every_argument_with_its_default():
+    single, vector = map(inspect.signature, (MMCReachEnv, MMCReachVectorEnv))
+    arm = {one.name: one.default for one in fields(ArmParameters)}
+    for signature in (single, vector):
+        assert arm.items() <= {k: v.default for k, v in signature.parameters.items()}.items()
+    assert list(single.parameters)[:3] == ["control", "reward_type", "control_weight"]
+    assert next(iter(vector.parameters)) == "num_envs"
+    assert inspect.signature(MMCReachGoalEnv).parameters["reward_type"].default == "sparse"
+    with pytest.raises(UserError, match="takes no argument 'engin'; did you mean 'engine'"):
+        MMCReachEnv(engin="analytic")
 
 
 def test_an_environment_is_no_name_of_one():

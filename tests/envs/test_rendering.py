@@ -13,6 +13,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs import render as drawing
+from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import FAMILIES
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
@@ -40,8 +41,12 @@ def drawn(setup, scene):
     return frame.astype(float)
 
 
+def setup_of(**arguments):
+    return ReachSetup(ReachArguments(**arguments))
+
+
 def picture(angles, target=FAR):
-    return drawn(ReachSetup(), Scene(angles, target))
+    return drawn(setup_of(), Scene(angles, target))
 
 
 def gray(image, point, size=5):
@@ -127,14 +132,14 @@ def test_an_environment_shows_the_posture_it_is_given():
 
 
 def test_targets_to_come_are_shown_and_those_that_were_are_not():
-    setup = ReachSetup(task="via-points")
+    setup = setup_of(task="via-points")
     path = [(-1.0, 1.0), (-1.0, -1.0), (1.0, -2.0)]
     for now, target in enumerate(path):
         images = [drawn(setup, Scene([0.0] * 3, target, path=shown)) for shown in (path, ())]
         assert not any(differ(*images, place) for place in path[:now])
         assert all(differ(*images, place) for place in path[now + 1 :])
     np.testing.assert_array_equal(*images)  # nothing comes after the last
-    pursuit = ReachSetup(task="pursuit")
+    pursuit = setup_of(task="pursuit")
     path = pursuit.draw_trial(np.random.default_rng(0), Options()).targets
     images = [drawn(pursuit, Scene([0.0] * 3, path[0], path=shown)) for shown in (path, ())]
     assert all(differ(*images, path[place]) for place in (100, 250, 400))
@@ -142,7 +147,7 @@ def test_targets_to_come_are_shown_and_those_that_were_are_not():
 
 def looks_perturbed(perturbation, point, **scene):
     """Whether a picture differs near a point from one without the perturbation."""
-    setup = ReachSetup(perturbations=[perturbation])
+    setup = setup_of(perturbations=[perturbation])
     return differ(drawn(setup, Scene(POSTURE, FAR, **scene)), picture(POSTURE), point)
 
 
@@ -164,7 +169,7 @@ def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint):
 def test_arrows_turn_as_the_field_bends():
     """Upside down, a field's arrows are the opposite field's."""
     scene = Scene([0.0] * 3, FAR)  # the same upside down
-    fields = [ReachSetup(perturbations=[name]) for name in ("force-field-9", "force-field--9")]
+    fields = [setup_of(perturbations=[name]) for name in ("force-field-9", "force-field--9")]
     one, other = (drawn(setup, scene)[60:-60] for setup in fields)  # the caption is above
     assert np.abs(one - other).max() > 30
     assert np.abs(one - other[::-1]).mean() < 0.5 * np.abs(one - other).mean()
@@ -172,7 +177,7 @@ def test_arrows_turn_as_the_field_bends():
 
 def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target():
     rotation = VisuomotorRotation(90.0)
-    setup = ReachSetup(perturbations=[rotation])
+    setup = setup_of(perturbations=[rotation])
     cursor = rotation.cursor(3.0, 0.0)
     assert differ(drawn(setup, Scene([0.0] * 3, FAR)), picture([0.0] * 3), cursor)
     # Within the success distance a second ring is painted, of the cursor and not of the hand.

@@ -229,7 +229,7 @@ def test_values_that_make_no_sense_are_refused():
 
 
 def workspace(lengths):
-    return Workspace(ArmParameters(tuple(lengths)))
+    return Workspace(ArmParameters(segment_lengths=tuple(lengths)))
 
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (3.0, 1.0, 0.5)])
