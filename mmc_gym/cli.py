@@ -24,10 +24,11 @@ import tyro
 from typing_extensions import override
 from tyro.conf import Positional
 
-from mmc_gym._console import make_console, print_list, print_written, progress_bar
+from mmc_gym._console import make_console, print_written, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
 from mmc_gym._files import import_modules, read_yaml
 from mmc_gym._grid import CellError
+from mmc_gym._tables import print_table, text_table
 
 DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone prints the version."
 TRACEBACK = "MMC_GYM_TRACEBACK"
@@ -423,7 +424,7 @@ def list_(
 
     more.load()
     found: listing.Listing = getattr(listing, f"list_{what}")()
-    print_list(make_console(), found.rows, found.headings)
+    print_table(make_console(), found.table)
 
 
 @_command
@@ -439,7 +440,7 @@ def show(
     from mmc_gym import listing
 
     more.load()
-    print_list(make_console(), listing.describe(scenario))
+    print_table(make_console(), text_table(listing.describe(scenario)))
 
 
 @_command

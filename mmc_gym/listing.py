@@ -9,7 +9,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mmc_gym._errors import UserError
-from mmc_gym._notebook import html_table
+from mmc_gym._tables import Table, text_table, to_html
 from mmc_gym.agents import AGENTS, AgentEntry
 from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
 from mmc_gym.envs.scenarios import Playable, Scenario, find_scenario, name_of
@@ -35,10 +35,13 @@ class Listing(list[str]):
         self.headings, self.rows = headings, tuple(rows)
         super().__init__(row.name for row in self.rows)
 
-    def _repr_html_(self) -> str:
-        import pandas as pd
+    @property
+    def table(self) -> Table:
+        """The headings and rows as a table of texts."""
+        return text_table(self.rows, self.headings)
 
-        return html_table(pd.DataFrame(self.rows, columns=self.headings), index=False)
+    def _repr_html_(self) -> str:
+        return to_html(self.table)
 
 
 def list_agents() -> Listing:

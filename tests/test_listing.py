@@ -38,7 +38,7 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
     assert [line.split()[0] for line in lines if not line.startswith(" ")] == list(NAMES[what])
     found = getattr(mmc_gym, f"list_{what}")()
     assert found == list(NAMES[what])
-    assert found._repr_html_().count("<td>") == 3 * len(found)
+    assert found._repr_html_().count("<td>") == 2 * len(found)
 
 
 @pytest.mark.parametrize("columns", ["0", "1", "39"])

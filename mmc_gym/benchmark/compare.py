@@ -19,17 +19,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from mmc_gym._console import (
-    cell,
-    make_console,
-    print_columns,
-    print_written,
-    progress_bar,
-    text_for,
-)
+from mmc_gym._console import make_console, print_written, progress_bar, text_for
 from mmc_gym._errors import require_choice
 from mmc_gym._files import check_folder, write_atomically
-from mmc_gym._notebook import html_table
+from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_table, to_html
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve, resolve_all
@@ -358,13 +351,9 @@ class Comparison:
     def print(self, console: Console | None = None) -> None:
         """Print headline, table and note; to standard output by default."""
         console = console or make_console()
-        table = self._table()
-        best = [one.best.replace("neither", "") for one in self._shown]
-        labels = {"": list(table.index), "best": [*best, ""]}
         for text in (self.headline, *self.differences.splitlines()):
             console.print(text_for(console, text))
-        columns = {str(agent): list(cells) for agent, cells in table.items()}
-        print_columns(console, labels, columns, self.note)
+        print_table(console, self._table)
 
     def write(self, out: Path) -> list[Path]:
         """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""
@@ -392,24 +381,29 @@ class Comparison:
         return text.getvalue().rstrip()
 
     def _repr_html_(self) -> str:
-        table = html_table(self._table())
+        table = to_html(self._table)
         lines = [f"<b>{escape(self.headline)}</b>", *map(escape, self.differences.splitlines())]
         return f"<p>{'<br>'.join(lines)}</p>{table}<p>{escape(self.note)}</p>"
 
-    def _table(self) -> pd.DataFrame:
-        """Return the table as it is printed, all text: a row a measure, a column an agent."""
-        rows: dict[Any, Any] = {
+    @property
+    def _table(self) -> Table:
+        """The table as it is printed: a row for each measure, a column for each agent."""
+        found: dict[Any, Any] = {
             (row["agent"], row["measure"]): row for row in self.summary.to_dict("records")
         }
-        shown = self._shown
-        columns = {
-            agent: [cell(rows[agent, one.name], one.decimals) for one in shown]
-            for agent in self.recorded
-        }
-        for agent, steps in self.training_steps.items():
-            columns[agent].append("unknown" if steps is None else f"{steps:,}")
-        headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
-        return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
+        rows = []
+        for one in self._shown:
+            best = Cell(one.best.replace("neither", ""))
+            cells = (estimate_cell(found[agent, one.name], one.decimals) for agent in self.recorded)
+            unit = f"[{one.unit}]" if one.unit else ""
+            rows.append(Row(one.label, (best, *cells), unit))
+        steps = (self.training_steps[agent] for agent in self.recorded)
+        trained = (Cell("unknown" if one is None else f"{one:,}") for one in steps)
+        return Table(
+            headings=(Heading(""), Heading("best", is_text=True), *map(Heading, self.recorded)),
+            rows=(*rows, Row("training", (Cell(""), *trained), "[env steps]")),
+            caption=self.note,
+        )
 
 
 def _within(tolerance: float) -> str:

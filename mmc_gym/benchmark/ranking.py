@@ -29,9 +29,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from mmc_gym._console import interval, number, print_columns, text_for
+from mmc_gym._console import text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
+from mmc_gym._tables import Cell, Heading, Row, Table, interval, number, print_table
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import CellKey, Manifest, read_episodes, read_manifest, reasons
@@ -165,34 +166,37 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     except UserError as error:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
-    shows_lost = bool(ranking["not_played"].any())
-    compared = bool(ranking["improvement"].notna().any())
-    rows = [_cells(row, shows_lost, compared) for row in ranking.to_dict("records")]
-    columns = {heading: [row[heading] for row in rows] for heading in rows[0]}
-    labels = {heading: columns.pop(heading) for heading in ("#", "agent")}
-    print_columns(console, labels, columns, _note(manifest, ranking))
+    print_table(console, _table(manifest, ranking))
     for line in reasons(manifest.not_played):
         console.print(text_for(console, line))
     return ranking
 
 
-def _cells(row: Mapping[Hashable, Any], shows_lost: bool, compared: bool) -> dict[str, str]:
-    better = {f"better\nthan {BASELINE_AGENT}": _with_interval(row, "improvement")}
-    return {
-        "#": str(row["rank"]),
-        "agent": str(row["agent"]),
-        "success": _with_interval(row, "success"),
-        "settled": _with_interval(row, "settled"),
-        **(better if compared else {}),
-        "time\n[s]": number(row["time_to_target"], 2),
-        "seeds": str(row["training_seeds"] or "–"),
-        **({"not\nplayed": str(row["not_played"] or "–")} if shows_lost else {}),
-    }
+def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
+    """Return the ranking as it is printed; columns without any value are left out."""
+    shows_lost = bool(ranking["not_played"].any())
+    is_compared = bool(ranking["improvement"].notna().any())
+    headings = [Heading("#"), Heading("agent", is_text=True)]
+    headings += [Heading("success"), Heading("settled")]
+    headings += [Heading(f"better\nthan {BASELINE_AGENT}")] * is_compared
+    headings += [Heading("time", "s"), Heading("seeds"), *[Heading("not\nplayed")] * shows_lost]
+    rows = []
+    for row in ranking.to_dict("records"):
+        shares = ("success", "settled", *["improvement"] * is_compared)
+        counts = ("training_seeds", *["not_played"] * shows_lost)
+        cells = (
+            Cell(str(row["agent"])),
+            *(_with_interval(row, name) for name in shares),
+            Cell(number(row["time_to_target"], 2)),
+            *(Cell(str(row[name] or "–")) for name in counts),
+        )
+        rows.append(Row(str(row["rank"]), cells))
+    return Table(tuple(headings), tuple(rows), _note(manifest, ranking))
 
 
-def _with_interval(row: Mapping[Hashable, Any], name: str) -> str:
+def _with_interval(row: Mapping[Hashable, Any], name: str) -> Cell:
     ends = interval(row[f"{name}_low"], row[f"{name}_high"], 3)
-    return f"{number(row[name], 3)}\n{ends}".rstrip()
+    return Cell(number(row[name], 3), (ends,) if ends else ())
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:

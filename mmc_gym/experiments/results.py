@@ -22,10 +22,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mmc_gym._console import cell, make_console, print_columns
+from mmc_gym._console import make_console
 from mmc_gym._errors import require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
+from mmc_gym._tables import NONE, Cell, Heading, Row, Table, estimate_cell, print_table
 from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
 from mmc_gym.experiments.adaptation import (
     OF_ADAPTATION,
@@ -186,22 +187,22 @@ def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
     if table.empty:
         console.print("No agent has a value of any measure of learning here.")
         return
-    facts = table.drop_duplicates("measure").set_index("measure")
-    units = (f"\n[{unit}]" if unit else "" for unit in facts["unit"])
-    columns = {}
-    for agent, rows in table.groupby("agent", sort=False):
-        cells = {row["measure"]: _printed(row) for row in rows.to_dict("records")}
-        columns[str(agent)] = [cells.get(name, "–") for name in facts.index]
-    headings = {"": [label + unit for label, unit in zip(facts["label"], units)]}
+    found = {(row["agent"], row["measure"]): row for row in table.to_dict("records")}
+    agents = list(table["agent"].unique())
+    rows = []
+    for facts in table.drop_duplicates("measure").to_dict("records"):
+        own = (found.get((agent, facts["measure"])) for agent in agents)
+        cells = tuple(NONE if row is None else _printed(row) for row in own)
+        rows.append(Row(facts["label"], cells, f"[{facts['unit']}]" if facts["unit"] else ""))
     note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
     note += settings_note(dict(zip(table["agent"], table["settings"], strict=True)))
-    print_columns(console, headings, columns, note)
+    print_table(console, Table((Heading(""), *map(Heading, agents)), tuple(rows), note))
 
 
-def _printed(row: Any) -> str:
+def _printed(row: Any) -> Cell:
     if row["agent"] == PEOPLE:
-        return f"{span(row['low'], row['high'])}\n{row['source']}"
-    return cell(row, row["decimals"])
+        return Cell(span(row["low"], row["high"]), (row["source"],))
+    return estimate_cell(row, row["decimals"])
 
 
 def learning_figure(

@@ -32,8 +32,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from mmc_gym._console import number
 from mmc_gym._errors import UserError, require
+from mmc_gym._tables import number
 from mmc_gym.measures.episode import Episode
 
 if TYPE_CHECKING:

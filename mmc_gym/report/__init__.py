@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym._files import write_atomically
+from mmc_gym._tables import plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
 from mmc_gym.measures import MEASURES
@@ -98,7 +98,11 @@ def _render(shown: Mapping[str, Any], format: Format) -> str:
         lstrip_blocks=True,
     )
     pages.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    pages.filters["plain"] = _plain
+    pages.filters |= {
+        "html": lambda one: Markup(to_html(one)),
+        "plain": plain,
+        "markdown": to_markdown,
+    }
     pages.globals |= {"count": count, "version": version("mmc-gym"), "results": None}
     return pages.get_template(f"report.{format}.j2").render(shown)
 
@@ -128,11 +132,6 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
     if format == "html":
         shown |= {"replay": replay(results), "learning": _learning(results)}
     return shown
-
-
-def _plain(text: str) -> str:
-    """Return a text for Markdown, in which names of agents are no markup."""
-    return re.sub(r"([\\|*_`\[\]])", r"\\\1", escape(text, quote=False))
 
 
 def _headline(results: Results) -> str:

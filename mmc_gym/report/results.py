@@ -59,6 +59,13 @@ class AgentIdentity:
         """One line of description; empty if the agent does not ship with the package."""
         return AGENTS[self.name].description if self.name in AGENTS else ""
 
+    def about(self, label: str) -> str:
+        """Return what it is, with its name if it has another `label`."""
+        if self.description:
+            return self.description if self.name == label else f"{self.name}: {self.description}"
+        kind = self.knowledge.kind
+        return "your own" if kind == "yours" else kind
+
     @property
     def training(self) -> str:
         """How long it was trained, in words."""

@@ -122,9 +122,9 @@ def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_colum
     found = compare({"oracle": oracle, still: frozen}, episodes=4)
     assert found.headline == f"success at the end: oracle 100.0 %, {still} 0.0 %"
     html = found._repr_html_()
-    assert html.count("<th>") > len(shown_measures())
+    assert html.count('<th scope="row">') > len(shown_measures())
     assert "50 % &lt;b&gt;_still" in html and "<b>_still" not in html
-    assert "success at the end<br>[fraction]" in html and "\\n" not in html
+    assert 'success at the end<div class="note">[fraction]</div>' in html and "\\n" not in html
     frame = found.to_frame()
     assert list(frame.index) == ["oracle", still, REFERENCE]
     assert list(frame.columns) == list(MEASURES)
