@@ -51,6 +51,8 @@ FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on th
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 SUFFIXES = (".json", ".safetensors")  # of a policy's two files
 _DIGEST = "card_sha256"  # the entry of a card with the SHA-256 of all the others
+POSITIONS_FROM_DELTAS = ("joint_delta", "joint_position")
+"""The control modes of a policy and of another environment that it can act in."""
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
 """Entries of every row of a learning curve."""
 
@@ -178,8 +180,8 @@ class PolicyAgent(Agent[Any]):
             raise CannotActError(
                 f"env must have {card.segment_count} segments for this policy, got {count}"
             )
-        same = card.control == interface.control
-        if not same and (card.control, interface.control) != ("joint_delta", "joint_position"):
+        self._gives_positions = (card.control, interface.control) == POSITIONS_FROM_DELTAS
+        if card.control != interface.control and not self._gives_positions:
             raise ControlError(
                 f"control must be {card.control!r} for this policy, got {interface.control!r}",
                 card.control,
@@ -194,7 +196,6 @@ class PolicyAgent(Agent[Any]):
         self._network = network
         self._layouts: Layouts = {}
         self._interface = interface
-        self._convert = not same
         self._random = np.random.default_rng(seed)
         self._base = None
         if card.base_agent:
@@ -231,29 +232,32 @@ class PolicyAgent(Agent[Any]):
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._history is not None:
-            history = self._history
-            start = partial(history.start, observation)
+            start = partial(self._history.start, observation)
             memory = resumed(state, start, seen.shape[:-1], episode_start, self._layouts)
-            now = history.observed(observation, memory)
-            recalled = history.recall(now, memory)
+            now = self._history.observed(observation, memory)
+            recalled = self._history.recall(now, memory)
             action = self._network.act(np.concatenate((seen, recalled), axis=-1), random)
-            state = history.extended(now, action, memory)
-        elif self._base is None:
+            state = self._history.extended(now, action, memory)
+        elif self._base is not None:
+            proposal, state = self._base.predict(observation, state, episode_start)
+            seen = np.concatenate((seen, proposal), axis=-1)
+            action = corrected(proposal, self._network.act(seen, random))
+        else:
             check_no_state(state)
             action = self._network.act(seen, random)
             if self.card.view == "target":
                 action = turned_actions(np, action, observation, layout)
                 action = action.astype(np.float32, copy=False)  # goals are float64
-        else:
-            proposal, state = self._base.predict(observation, state, episode_start)
-            seen = np.concatenate((seen, proposal), axis=-1)
-            action = corrected(proposal, self._network.act(seen, random))
-        if self._convert:
-            sensed = self._interface.sense(observation)
-            now = sensed.joint_angles
-            ahead = now + self._interface.max_joint_delta * action
-            action = self._interface.act(self._interface.within_limits_from(now, ahead), sensed)
+        if self._gives_positions:
+            action = self._as_positions(action, observation)
         return action, state
+
+    def _as_positions(self, action: Float32, observation: Observation) -> Float32:
+        """Return joint positions in place of joint deltas."""
+        sensed = self._interface.sense(observation)
+        now = sensed.joint_angles
+        ahead = now + self._interface.max_joint_delta * action
+        return self._interface.act(self._interface.within_limits_from(now, ahead), sensed)
 
 
 def shipped_agent(interface: ReachInterface, name: str) -> PolicyAgent:

@@ -32,7 +32,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,14 +65,20 @@ def features(arrays: Any, view: View, observation: Any, layout: ObservationLayou
     if view == "arm":
         return layout.flatten(observation, arrays)
     seen = layout.split(observation, arrays)
-    target, offset = ((of[..., :1], of[..., 1:]) for of in (seen.target, seen.offset))
-    distance = arrays.hypot(*target)
-    # At the base it has no direction; any will do.
-    cosine, sine = (x / (distance + (distance == 0)) for x in target)
-    near = seen.near[..., :1], seen.near[..., 1:]
-    others = seen.cosines[..., 1:], seen.sines[..., 1:]
-    parts = (cosine, -sine, *others, seen.speeds, distance, *turned_back(*offset, cosine, sine))
-    return arrays.concatenate((*parts, *turned_back(*near, cosine, sine), seen.rest), -1)
+    target_x, target_y = _columns(seen.target)
+    distance = arrays.hypot(target_x, target_y)
+    divisor = distance + (distance == 0)  # a target at the base has no direction; any will do
+    cosine, sine = target_x / divisor, target_y / divisor
+    offset_x, offset_y = turned_back(*_columns(seen.offset), cosine, sine)
+    near_x, near_y = turned_back(*_columns(seen.near), cosine, sine)
+    posture = (cosine, -sine, seen.cosines[..., 1:], seen.sines[..., 1:], seen.speeds)
+    shown = (distance, offset_x, offset_y, near_x, near_y, seen.rest)
+    return arrays.concatenate((*posture, *shown), -1)
+
+
+def _columns(vectors: Any) -> tuple[Any, Any]:
+    """Return x and y of vectors (..., 2), (..., 1) each."""
+    return vectors[..., :1], vectors[..., 1:]
 
 
 def feature_count(view: View, layout: ObservationLayout) -> int:
@@ -89,10 +95,30 @@ def turned_actions(
     others are kept.  The other arguments are those of `features`.
     """
     seen = layout.split(observation, arrays)
-    first = arrays.arctan2(seen.sines[..., :1], seen.cosines[..., :1])
-    turn = (first + arrays.arctan2(seen.target[..., 1:], seen.target[..., :1])) / math.pi
+    first_angle = arrays.arctan2(seen.sines[..., :1], seen.cosines[..., :1])
+    target_x, target_y = _columns(seen.target)
+    turn = (first_angle + arrays.arctan2(target_y, target_x)) / math.pi
     first = (actions[..., :1].clip(-1, 1) + (-turn if back else turn) + 1) % 2 - 1
     return arrays.concatenate((first, actions[..., 1:]), -1)
+
+
+class _Layer(NamedTuple):
+    """A linear layer; its weight is as for `x @ weight`, in columns.
+
+    So one row of features takes one pass over contiguous memory.
+    """
+
+    weight: Float32  #: (in, out)
+    bias: Float32  #: (out,)
+
+    @classmethod
+    def named(cls, name: str, tensors: Tensors) -> _Layer:
+        return cls(np.asfortranarray(tensors[f"{name}.weight"].T), tensors[f"{name}.bias"])
+
+    def __call__(self, values: Float32) -> Float32:
+        result: Float32 = values @ self.weight
+        result += self.bias
+        return result
 
 
 class PolicyNetwork:
@@ -107,38 +133,38 @@ class PolicyNetwork:
         """
         depth = sum(name.startswith("hidden.") for name in tensors) // 2
         hidden = [f"hidden.{index}" for index in range(depth)]
-        spread_is_constant = "log_std" in tensors
-        heads = ["mean"] if spread_is_constant else ["mean", "log_std"]
         try:
-            sizes = [tensors["hidden.0.weight"].shape[-1]]
-            sizes += [len(tensors[f"{layer}.bias"]) for layer in hidden]
-            action_size = len(tensors["mean.bias"])
+            self.input_size: int = tensors["hidden.0.weight"].shape[-1]
+            self.hidden_units = tuple(len(tensors[f"{layer}.bias"]) for layer in hidden)
+            self.action_size = len(tensors["mean.bias"])
         except KeyError as error:
             raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None
-        shapes: dict[str, tuple[int, ...]] = {}
-        if spread_is_constant:
-            shapes["log_std"] = (action_size,)
-        for layer, inputs, outputs in (
-            *zip(hidden, sizes, sizes[1:]),
-            *((head, sizes[-1], action_size) for head in heads),
-        ):
-            shapes |= {f"{layer}.weight": (outputs, inputs), f"{layer}.bias": (outputs,)}
+        has_constant_spread = "log_std" in tensors
+        shapes = self._shapes(has_constant_spread)
         found = {name: one.shape for name, one in tensors.items() if one.dtype == np.float32}
         if found != shapes:
             raise ValueError(f"tensors must be float32 of shapes {shapes}, got {found}")
         self.tensors = dict(tensors)
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
-        self.input_size, self.hidden_units = sizes[0], tuple(sizes[1:])
-        self.action_size = action_size
-        # As columns, so that one row of features takes one pass over contiguous memory.
-        layers = {
-            layer: (np.asfortranarray(tensors[f"{layer}.weight"].T), tensors[f"{layer}.bias"])
-            for layer in hidden + heads
-        }
-        self._hidden = [layers[layer] for layer in hidden]
-        self._mean = layers["mean"]
-        self._log_std = tensors["log_std"] if spread_is_constant else layers["log_std"]
+        self._hidden = [_Layer.named(layer, tensors) for layer in hidden]
+        self._mean = _Layer.named("mean", tensors)
+        self._log_std = None if has_constant_spread else _Layer.named("log_std", tensors)
+
+    def _shapes(self, has_constant_spread: bool) -> dict[str, tuple[int, ...]]:
+        """Return the shape of each tensor of a network of these sizes."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        if has_constant_spread:
+            shapes["log_std"] = (self.action_size,)
+        inputs = self.input_size
+        for index, outputs in enumerate(self.hidden_units):
+            shapes[f"hidden.{index}.weight"] = (outputs, inputs)
+            shapes[f"hidden.{index}.bias"] = (outputs,)
+            inputs = outputs
+        for head in ["mean"] if has_constant_spread else ["mean", "log_std"]:
+            shapes[f"{head}.weight"] = (self.action_size, inputs)
+            shapes[f"{head}.bias"] = (self.action_size,)
+        return shapes
 
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
         """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).
@@ -147,23 +173,24 @@ class PolicyNetwork:
         sums over a whole batch round differently, and an action would depend on how many there are.
         """
         hidden = features[..., None, :]
-        for weight, bias in self._hidden:
-            hidden = hidden @ weight
-            hidden += bias
+        for layer in self._hidden:
+            hidden = layer(hidden)
             if self.activation == "relu":
                 np.maximum(hidden, 0.0, out=hidden)
             else:
                 np.tanh(hidden, out=hidden)
-        weight, bias = self._mean
-        action: Float32 = (hidden @ weight)[..., 0, :] + bias
+        action: Float32 = self._mean(hidden)[..., 0, :]
         if random is not None:
-            log_std = self._log_std
-            if isinstance(log_std, tuple):
-                spread = (hidden @ log_std[0])[..., 0, :] + log_std[1]
-                log_std = np.clip(spread, *_LOG_STD_RANGE)
             noise = random.standard_normal(action.shape, np.float32)
-            action = action + np.exp(log_std) * noise
+            spread: Float32 = np.exp(self._log_spread(hidden))
+            action = action + spread * noise
         return np.tanh(action) if self.distribution == "squashed" else action.clip(-1.0, 1.0)
+
+    def _log_spread(self, hidden: Float32) -> Float32:
+        """Return log σ of actions, (..., action_size) or (action_size,)."""
+        if self._log_std is None:
+            return self.tensors["log_std"]
+        return np.clip(self._log_std(hidden)[..., 0, :], *_LOG_STD_RANGE)
 
 
 @dataclass(frozen=True)
