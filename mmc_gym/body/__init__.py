@@ -11,10 +11,18 @@ from typing import Literal, get_args
 from mmc_gym._errors import require_choice
 from mmc_gym.body.base import ArmBatch, SingleArm
 from mmc_gym.body.parameters import ArmParameters, Servo
-from mmc_gym.body.pymunk.arm import Arm
+from mmc_gym.body.pymunk.arm import PymunkArm
 from mmc_gym.body.pymunk.batch import PymunkArmBatch
 
-__all__ = ["Arm", "ArmParameters", "Engine", "PymunkArmBatch", "Servo", "make_arm", "make_arms"]
+__all__ = [
+    "ArmParameters",
+    "Engine",
+    "PymunkArm",
+    "PymunkArmBatch",
+    "Servo",
+    "make_arm",
+    "make_arms",
+]
 
 Engine = Literal["pymunk", "analytic"]
 
@@ -49,4 +57,4 @@ def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:
         from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArmBatch  # needs numba
 
         return AnalyticArm, AnalyticArmBatch
-    return Arm, PymunkArmBatch
+    return PymunkArm, PymunkArmBatch

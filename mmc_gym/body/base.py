@@ -188,10 +188,11 @@ class ArmBatch(ABC):
 
     def _indices(self, arms: ArrayLike) -> Indices:
         rows = np.asarray(arms)
-        fine = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
-        fine = fine and bool(np.all((rows >= 0) & (rows < self._count)))
-        fine = fine and len(np.unique(rows)) == len(rows)
-        require(fine, "arms", arms, f"different indices from 0 to {self._count - 1}")
+        accepted = f"different indices from 0 to {self._count - 1}"
+        are_whole = rows.size == 0 or rows.dtype.kind in "iu"
+        require(rows.ndim == 1 and are_whole, "arms", arms, accepted)
+        require(bool(((rows >= 0) & (rows < self._count)).all()), "arms", arms, accepted)
+        require(len(np.unique(rows)) == len(rows), "arms", arms, accepted)
         return np.ascontiguousarray(rows, np.intp)
 
 

@@ -116,7 +116,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `segment_lengths`; action and observation grow with it.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
-    does; it has no window.  Long after the last reset it cannot be copied, see `mmc_gym.body.Arm`.
+    does; it has no window.  Long after the last reset it cannot be copied, see
+    `mmc_gym.body.PymunkArm`.
 
     ## Version History
     * v0: initial version

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
+from mmc_gym.body import ArmParameters, PymunkArm, make_arm, make_arms
 
 
 def test_impossible_arms_are_refused():
@@ -214,7 +214,7 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
 
 def test_recording_the_effort_changes_no_movement_and_is_copied(play):
     parameters = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
-    alone, recorded = Arm(parameters), Arm(parameters)
+    alone, recorded = PymunkArm(parameters), PymunkArm(parameters)
     recorded.records_effort = True
     assert play(recorded, "position", 0) == play(alone, "position", 0)
     assert np.isnan([*alone.servo_impulses, *alone.servo_work]).all()  # it was not asked for

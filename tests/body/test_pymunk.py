@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
+from mmc_gym.body import ArmParameters, PymunkArm, make_arm, make_arms
 from mmc_gym.geometry import wrap_angle
 
 
@@ -27,7 +27,7 @@ def pivot_gap(arm):
     return gap
 
 
-class PublicArm(Arm):
+class PublicArm(PymunkArm):
     """The same arm, driven and stepped through pymunk's public interface."""
 
     def step(self):
@@ -53,7 +53,7 @@ class PublicArm(Arm):
 
 def test_direct_calls_give_what_pymunk_gives(parameters, servo, play, postures):
     parameters = dataclasses.replace(parameters, force_field=None)
-    arms = [Arm(parameters, servo), PublicArm(parameters, servo)]
+    arms = [PymunkArm(parameters, servo), PublicArm(parameters, servo)]
     posture = postures(parameters, np.random.default_rng(0), 1)[0].tolist()
     for arm in arms:
         arm.reset(posture)
@@ -65,7 +65,7 @@ def test_direct_calls_give_what_pymunk_gives(parameters, servo, play, postures):
 
 def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(monkeypatch):
     monkeypatch.setattr("mmc_gym.body.pymunk.arm._LONGEST_HISTORY", 20)
-    arm = Arm()
+    arm = PymunkArm()
     for _ in range(9):
         arm.command([1.0, 2.0, 3.0])
         arm.step()
@@ -79,7 +79,7 @@ def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(monkeypatch):
 
 
 def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
-    arm, torques = Arm(ArmParameters(torque_limit=50.0), servo), []
+    arm, torques = PymunkArm(ArmParameters(torque_limit=50.0), servo), []
     for shares in np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3)):
         arm.command((scale(arm.parameters, servo) * shares).tolist())
         for _ in range(5):
@@ -100,7 +100,7 @@ def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
 )
 def test_arms_come_to_rest_at_their_joint_targets(lengths, masses):
     """Whatever they carry: with too few sweeps of the solver a heavy hand buzzes for ever."""
-    arm = Arm(ArmParameters(segment_lengths=lengths, segment_masses=masses))
+    arm = PymunkArm(ArmParameters(segment_lengths=lengths, segment_masses=masses))
     random = np.random.default_rng(0)
     start, target = random.uniform(-math.pi, math.pi, (2, len(lengths)))
     arm.reset(start.tolist())
@@ -112,7 +112,7 @@ def test_arms_come_to_rest_at_their_joint_targets(lengths, masses):
 
 
 def test_pivots_gape_little_and_joints_throw_others_hardly_beyond_their_speed_limit():
-    arm, gaps, speeds = Arm(), [], []
+    arm, gaps, speeds = PymunkArm(), [], []
     for start, target in np.random.default_rng(0).uniform(-math.pi, math.pi, (10, 2, 3)).tolist():
         arm.reset(start)
         for _ in range(100):
@@ -171,7 +171,7 @@ def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, 
 
 
 def test_resets_among_obstacles_leave_the_memory_as_it_was():
-    arm, used = Arm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), []
+    arm, used = PymunkArm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), []
     for episodes in (300, 700):
         for _ in range(episodes):
             arm.reset([0.1, 0.2, 0.3])
@@ -208,7 +208,7 @@ def any_arm(draw):
 @example(parameters=ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4), seed=0)
 def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, postures):
     try:
-        arm = Arm(parameters, servo)
+        arm = PymunkArm(parameters, servo)
     except UserError as refusal:
         assert re.search("an arm that pymunk can hold together: .* got .* times", str(refusal))
         return

@@ -34,7 +34,7 @@ from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impul
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 
 
-class Arm(SingleArm):
+class PymunkArm(SingleArm):
     """An arm simulated by pymunk; see `SingleArm`.
 
     `end_effector` follows from the angles, because pivots open a little under load.
@@ -43,7 +43,7 @@ class Arm(SingleArm):
     impulses that its joints remember, so a copy replays all calls since the last reset.  Copying
     fails after 20,000 calls, which is 10,000 steps with a command each.
 
-    >>> arm = Arm(servo="torque")
+    >>> arm = PymunkArm(servo="torque")
     >>> arm.records_effort = True
     >>> arm.command([6.0, 0.0, -3.0])
     >>> arm.step()

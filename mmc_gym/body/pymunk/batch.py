@@ -4,8 +4,8 @@
     group         0           1          2  …    stepped one after the other, or by several threads
 
 One call into Chipmunk steps all arms of a Space, and one call reads them.  Every arm moves bit for
-bit as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of
-an arm in the same order as if it were alone.
+bit as a single `PymunkArm` does: Chipmunk solves the joints of a Space one after the other, and
+those of an arm in the same order as if it were alone.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ class ArmGroup:
         self.arms = slice(first, first + count)
         self._parameters, self._servo = parameters, servo
         self._shape = count, len(parameters.segment_lengths)
-        self._arms_per_space = 1 if parameters.obstacles else count
+        spaces, arms_per_space = (count, 1) if parameters.obstacles else (1, count)
+        self._segments_per_space = arms_per_space * self._shape[1]
+        bodies = self._segments_per_space + bool(parameters.obstacles)  # all obstacles are the last
         self._buffer = Buffer()
         self._field = None if parameters.force_field is None else HandField(parameters)
-        # A row for each body.  The obstacles of a Space are one body, its last.
-        rows = self._arms_per_space * self._shape[1] + bool(parameters.obstacles)
-        self._pushes = np.zeros((count // self._arms_per_space, rows, 3))  # force x, y and torque
-        self._push_buffers = [Buffer() for _ in self._pushes]
+        self._pushes = np.zeros((spaces, bodies, 3))  # of each body: force x, y and torque
+        self._push_buffers = [Buffer() for _ in range(spaces)]
         for buffer, pushes in zip(self._push_buffers, self._pushes):
             buffer.set_float_buf(pushes)
         self._yields = np.ones(self._shape)
-        self._spaces = [make_space(parameters) for _ in self._pushes]
-        by_arm = [space for space in self._spaces for _ in range(self._arms_per_space)]
+        self._spaces = [make_space(parameters) for _ in range(spaces)]
+        by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
         self.linkages = [Linkage(space, parameters, servo) for space in by_arm]
         self._find_handles()
 
@@ -91,7 +91,7 @@ class ArmGroup:
                 self._yields[:] = self._find_yields(substep)
             if effort:
                 after = self._joint_velocities()
-                now = self._each(chipmunk.cpConstraintGetImpulse, self._servos)
+                now = self._read(chipmunk.cpConstraintGetImpulse, self._servos)
                 impulses, work = effort
                 impulses += now
                 work += now * np.abs(before + after) / 2
@@ -101,43 +101,44 @@ class ArmGroup:
         """Return `Linkage.yields` of all arms, (count, N); without stops and locks all at once."""
         if self._parameters.joint_limits is not None or self._parameters.lockable_joints:
             return [linkage.yields(substep) for linkage in self.linkages]
-        give = self._each(chipmunk.cpConstraintGetImpulse, self._servos)
-        most = self._each(chipmunk.cpConstraintGetMaxForce, self._servos)
+        give = self._read(chipmunk.cpConstraintGetImpulse, self._servos)
+        most = self._read(chipmunk.cpConstraintGetMaxForce, self._servos)
         return give >= FULL * most * substep
 
     def _joint_velocities(self) -> Floats:
         if len(self._spaces) > 1:  # a call for each body is quicker than one for each Space
-            return _relative(self._each(chipmunk.cpBodyGetAngularVelocity, self._bodies))
-        return _relative(self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0])
+            return _relative(self._read(chipmunk.cpBodyGetAngularVelocity, self._bodies))
+        return _relative(self._fields(BodyFields.ANGULAR_VELOCITY)[:, :, 0])
 
-    def _each(self, ask: Callable[[Any], float], handles: Sequence[Any]) -> Floats:
-        """Return what Chipmunk answers for the handle of each joint or segment, (count, N)."""
-        return np.fromiter(map(ask, handles), np.float64, len(handles)).reshape(self._shape)
+    def _read(self, read: Callable[[Any], float], handles: Sequence[Any]) -> Floats:
+        """Return what Chipmunk has for the handle of each joint or segment, (count, N)."""
+        return np.fromiter(map(read, handles), np.float64, len(handles)).reshape(self._shape)
 
-    def _get(self, fields: BodyFields) -> Floats:
+    def _fields(self, fields: BodyFields) -> Floats:
         """Return these fields of all segments, (count, N, values), valid until the next call."""
         self._buffer.clear()
         for space in self._spaces:
             get_space_bodies(space, fields, self._buffer)
-        values = np.frombuffer(self._buffer.float_buf()).reshape(*self._pushes.shape[:2], -1)
-        of_segments = values[:, : self._arms_per_space * self._shape[1]]
+        spaces, bodies, _ = self._pushes.shape
+        of_bodies = np.frombuffer(self._buffer.float_buf()).reshape(spaces, bodies, -1)
+        of_segments = of_bodies[:, : self._segments_per_space]
         return of_segments.reshape(*self._shape, -1)
 
     def read(self, angles: Floats, velocities: Floats) -> None:
         """Write the segments' angles and angular velocities to two arrays (count, N)."""
         if len(self._spaces) > 1:
-            angles[:] = self._each(chipmunk.cpBodyGetAngle, self._bodies)
-            velocities[:] = self._each(chipmunk.cpBodyGetAngularVelocity, self._bodies)
+            angles[:] = self._read(chipmunk.cpBodyGetAngle, self._bodies)
+            velocities[:] = self._read(chipmunk.cpBodyGetAngularVelocity, self._bodies)
             return
-        state = self._get(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
+        state = self._fields(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
     def _push_hands(self, field: HandField) -> None:
         """Set the field's forces and torques on the last segments for the next physics step."""
-        joints = self._shape[1]
-        pushes = field.impulses(self._get(MOTION), self._yields) / self._parameters.substep
-        last = self._pushes[:, joints - 1 : self._arms_per_space * joints : joints]
-        last[:] = pushes.reshape(last.shape)
+        count = self._shape[1]
+        pushes = field.impulses(self._fields(MOTION), self._yields) / self._parameters.substep
+        of_hands = self._pushes[:, count - 1 : self._segments_per_space : count]
+        of_hands[:] = pushes.reshape(of_hands.shape)
         for space, buffer in zip(self._spaces, self._push_buffers):
             set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
 
@@ -252,7 +253,7 @@ class PymunkArmBatch(ArmBatch):
         x, y = _each(math.cos, angles), _each(math.sin, angles)
         hands = np.zeros((len(angles), 2))
         for segment, length in enumerate(self.parameters.segment_lengths):
-            hands[:, 0] += length * x[:, segment]  # in the order in which `Arm` adds them
+            hands[:, 0] += length * x[:, segment]  # in the order in which `PymunkArm` adds them
             hands[:, 1] += length * y[:, segment]
         self.end_effectors[arms] = hands
 
