@@ -14,7 +14,7 @@ from mmc_gym.report.curves import read_cards
 
 # %%
 # During training each policy was evaluated in the same 200 episodes, and its card has the results.
-# ``python -m studies.learners.ppo_residual --seed 7`` trains another one, from a clone.
+# ``python -m studies.learners.train_all --names ppo-residual`` trains them, from a clone.
 
 cards = read_cards()
 for name in ("ppo-residual", "ppo"):

@@ -156,7 +156,7 @@ AGENTS: dict[str, AgentEntry] = {
         "PPO on top of mmc: it corrects its actions",
         5,
         base_agent="mmc",
-        command="python -m studies.learners.ppo_residual",
+        command="python -m studies.learners.train_all --names ppo-residual",
     ),
     **_trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
     **_trained(
@@ -165,7 +165,7 @@ AGENTS: dict[str, AgentEntry] = {
         3,
         control="joint_position",
         view="target",
-        command="python -m studies.learners.ppo_position",
+        command="python -m studies.learners.train_all --names ppo-position",
     ),
     **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
     **_trained(

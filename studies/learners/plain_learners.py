@@ -1,8 +1,7 @@
 """Measure what untuned learners reach in `MMCReach-v0`, each with its own defaults.
 
-The learners are stable-baselines3's PPO (eight environments), SAC and TD3 (one environment), and
-PPO with CleanRL's constants (one environment, see `cleanrl_ppo.py`).  Each training is what a new
-user would type,
+The learners are stable-baselines3's PPO (eight environments), SAC and TD3 (one environment).  Each
+training is what a new user would type,
 
     PPO("MlpPolicy", make_vec_env("MMCReach-v0", 8, seed=seed), seed=seed, device="cpu")
 
@@ -12,7 +11,7 @@ Success means that the hand is within the success distance when the episode ends
 median over seeds, the worst and the best.  Minutes are wall time without evaluations, with `--jobs`
 trainings at once; the files also have processor time.
 
-    python -m studies.learners.plain_learners --learners ppo cleanrl --out runs/plain-learners
+    python -m studies.learners.plain_learners --learners ppo --out runs/plain-learners
     python -m studies.learners.plain_learners --learners sac td3 --steps 200000
     python -m studies.learners.plain_learners --learners    # only prints the results
 
@@ -40,12 +39,11 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from mmc_gym.measures.reaching import final_distance, success
 from mmc_gym.measures.rollout import run_episodes
-from studies.learners.cleanrl_ppo import CleanRLPPO
 from studies.tables import table_of
 
-Learner = Literal["ppo", "sac", "td3", "cleanrl"]
+Learner = Literal["ppo", "sac", "td3"]
 
-LABELS = {"ppo": "PPO, sb3", "sac": "SAC, sb3", "td3": "TD3, sb3", "cleanrl": "PPO, CleanRL's"}
+LABELS = {"ppo": "PPO", "sac": "SAC", "td3": "TD3"}
 ENV = "MMCReach-v0"
 ENVIRONMENTS = {"ppo": 8}  # the others have one
 EPISODES = 200
@@ -65,7 +63,7 @@ class Arguments:
         out: folder for the results.
     """
 
-    learners: tuple[Learner, ...] = ("ppo", "sac", "td3", "cleanrl")
+    learners: tuple[Learner, ...] = ("ppo", "sac", "td3")
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     steps: int = 1_000_000
     at: tuple[int, ...] = (50_000, 100_000, 200_000, 500_000, 1_000_000)
@@ -113,10 +111,8 @@ class Training:
 
         learner.learn(self.marks[-1], callback=evaluate)
 
-    def make_learner(self) -> PPO | SAC | TD3 | CleanRLPPO:
+    def make_learner(self) -> PPO | SAC | TD3:
         """Return the learner with its defaults."""
-        if self.learner == "cleanrl":
-            return CleanRLPPO(gym.make(ENV), self.seed)
         algorithm = {"ppo": PPO, "sac": SAC, "td3": TD3}[self.learner]
         count = ENVIRONMENTS.get(self.learner, 1)
         env = make_vec_env(ENV, count, seed=self.seed)

@@ -1,10 +1,10 @@
-"""Train `ppo-position`, a policy whose actions are joint angles.
+"""Define `ppo-position`, a policy whose actions are joint angles.
 
-    python -m studies.learners.ppo_position --seed 0 --out runs/ppo-position-0
+    python -m studies.learners.train_all --names ppo-position --seeds 1
 
 Joint angles mean a direction, so the policy sees the world as if the target lay straight ahead, and
 its actions are turned back (`mmc_gym.agents.policy_network`).  The three policies that ship were
-trained in this way, with the seeds 0 to 2.  An interrupted training resumes with --resume.
+trained in this way, with the seeds 0 to 2.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from typing_extensions import override
 
-import mmc_gym
 from mmc_gym.agents.policy_network import turned_actions
 from mmc_gym.training.hyperparameters import Recipe
 from mmc_gym.training.policies import ViewLayer
@@ -69,24 +67,3 @@ class PPOTargetPolicy(ActorCriticPolicy):
 
 
 Recipe.classes["studies.learners.ppo_position.PPOTargetPolicy"] = PPOTargetPolicy
-
-
-def main(
-    seed: int = 0, steps: int | None = None, out: Path | None = None, resume: bool = False
-) -> None:
-    """Train `ppo-position`.
-
-    Args:
-        seed: Seed of everything random.
-        steps: Environment steps (default: 500,000, as in ppo-position.yml).
-        out: Folder for checkpoint and policy (default: runs/ppo-position-SEED).
-        resume: Continue from the checkpoint in the folder, if there is one.
-    """
-    folder = out or Path(f"runs/ppo-position-{seed}")
-    agent = mmc_gym.train(HYPERPARAMETERS, seed=seed, steps=steps, out=folder, resume=resume)
-    card = agent.card
-    print(f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%}")
-
-
-if __name__ == "__main__":
-    tyro.cli(main)

@@ -1,9 +1,8 @@
-"""Train `ppo-residual`, a policy that corrects the actions of `mmc`.
+"""Define `ppo-residual`, a policy that corrects the actions of `mmc`.
 
-    python -m studies.learners.ppo_residual --seed 0 --out runs/ppo-residual-0
+    python -m studies.learners.train_all --names ppo-residual --seeds 1
 
-The five policies that ship were trained in this way, with the seeds 0 to 4.  An interrupted
-training resumes with --resume.
+The five policies that ship were trained in this way, with the seeds 0 to 4.
 """
 
 from __future__ import annotations
@@ -12,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
-import mmc_gym
 from mmc_gym import UserError
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
 from mmc_gym.interface import ReachInterface
@@ -74,24 +71,3 @@ class Residual(VecEnvWrapper):
 
 
 Recipe.classes["studies.learners.ppo_residual.Residual"] = Residual
-
-
-def main(
-    seed: int = 0, steps: int | None = None, out: Path | None = None, resume: bool = False
-) -> None:
-    """Train `ppo-residual`.
-
-    Args:
-        seed: Seed of everything random.
-        steps: Environment steps (default: 500,000, as in ppo-residual.yml).
-        out: Folder for checkpoint and policy (default: runs/ppo-residual-SEED).
-        resume: Continue from the checkpoint in the folder, if there is one.
-    """
-    folder = out or Path(f"runs/ppo-residual-{seed}")
-    agent = mmc_gym.train(HYPERPARAMETERS, seed=seed, steps=steps, out=folder, resume=resume)
-    card = agent.card
-    print(f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%}")
-
-
-if __name__ == "__main__":
-    tyro.cli(main)

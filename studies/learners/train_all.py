@@ -4,7 +4,8 @@
     python -m studies.learners.train_all --names ppo sac
 
 A policy that is in the folder, with the same hyperparameters, is not trained again.  An interrupted
-run resumes.  `studies.learners.ppo_memory` trains `ppo-memory`.
+run resumes.  `ppo_position.py` and `ppo_residual.py` have what `ppo-position` and `ppo-residual`
+need; `studies.learners.ppo_memory` trains `ppo-memory`.
 """
 
 from __future__ import annotations
