@@ -15,6 +15,7 @@ benchmark and its report.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,6 @@ import tyro
 from matplotlib.patches import Circle
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.envs.spec import ReachSetup
@@ -34,6 +34,7 @@ from mmc_gym.geometry import node_positions, segments_from_joint_angles
 from mmc_gym.measures import Episode
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import play, successes
+from studies.tables import table_of
 
 CAUSES = ("out of reach", "left", "stuck", "late")
 REST_STEPS, REST_PATH = 15, 0.02
@@ -63,12 +64,12 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
     """Return the cause of a failed episode, one of `CAUSES`."""
     hands, targets = episode.seen_hands, episode.targets
     if setup.lock_step:
-        workspace = Workspace(setup.body, setup.given_body, setup.body.lockable_joints)
-        workspace.cursor = setup.cursor
+        locked = setup.body.lockable_joints
+        workspace = Workspace(setup.body, setup.given_body, locked, setup.cursor)
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"
-    stands = (targets == targets[-1]).all(axis=-1)
-    if (episode.distances[stands] <= episode.tolerance).any():
+    rests = (targets == targets[-1]).all(axis=-1)
+    if (episode.distances[rests] <= episode.tolerance).any():
         return "left"
     steps = np.linalg.norm(np.diff(hands[-REST_STEPS - 1 :], axis=0), axis=-1)
     return "stuck" if steps.sum() < REST_PATH else "late"
@@ -99,40 +100,38 @@ def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
 
 def main(arguments: Arguments) -> None:
     """Print the table."""
-    table = Table("scenario", title=f"failures of {arguments.agent}")
-    for heading in ("failures", *CAUSES, "given the truth,\nfails too"):
-        table.add_column(heading, justify="right")
-    table.add_column("episodes")
-    total: Counter[str] = Counter()
+    rows, total = [], Counter[str]()
     if arguments.draw is not None:
         arguments.draw.mkdir(parents=True, exist_ok=True)
     for scenario in track(list(find_scenarios(arguments.scenarios).values()), transient=True):
         with closing(scenario.make()) as env:
             setup = env.unwrapped.setup
-        seen = play(arguments.agent, scenario, arguments.episodes, arguments.seed)
+        seen, *_ = play(arguments.agent, scenario, arguments.episodes, arguments.seed)
         given = play(KnownBody, scenario, arguments.episodes, arguments.seed)
-        failed = np.flatnonzero(successes(seen)[0] == 0)
-        total["episodes"] += len(seen[0])
-        if not len(failed):
-            continue
-        causes = {number: cause(seen[0][number], setup) for number in failed}
-        counts = Counter(causes.values())
+        failed = np.flatnonzero(successes([seen])[0] == 0)
+        causes = {number: cause(seen[number], setup) for number in failed}
         both = int((successes(given)[0][failed] == 0).sum())
-        total.update({"failures": len(failed), "both": both, **counts})
-        table.add_row(
-            scenario.name,
-            f"{len(failed)} of {len(seen[0])}",
-            *(str(counts[one] or "") for one in CAUSES),
-            str(both or ""),
-            " ".join(map(str, failed[:12])) + (" …" if len(failed) > 12 else ""),
-        )
+        counts = Counter({"episodes": len(seen), "both": both}) + Counter(causes.values())
+        total += counts
+        if len(failed):
+            rows.append(_row(scenario.name, counts, map(str, failed)))
         for number in failed if arguments.draw is not None else ():
             name = f"{scenario.name}-{number}-{causes[number].replace(' ', '-')}.png"
-            draw(seen[0][number], setup, arguments.draw / name)
-    table.add_section()
-    sums = (str(total[one] or "") for one in (*CAUSES, "both"))
-    table.add_row("all", f"{total['failures']} of {total['episodes']}", *sums, "")
-    Console(width=150).print(table)
+            draw(seen[number], setup, arguments.draw / name)
+    rows.append(_row("all", total))
+    Console(width=150).print(table_of(rows, f"failures of {arguments.agent}"))
+
+
+def _row(name: str, counts: Counter[str], failed: Iterable[str] = ()) -> dict[str, str]:
+    numbers = {one: str(counts[one] or "") for one in CAUSES}
+    failures, shown = sum(counts[one] for one in CAUSES), list(failed)
+    return {
+        "scenario": name,
+        "failures": f"{failures} of {counts['episodes']}",
+        **numbers,
+        "given the truth,\nfails too": str(counts["both"] or ""),
+        "episodes": " ".join(shown[:12]) + (" …" if len(shown) > 12 else ""),
+    }
 
 
 if __name__ == "__main__":

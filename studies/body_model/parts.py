@@ -1,6 +1,6 @@
 """Measure what each part of `mmc-body`, each switch of its network, and its vigour are worth.
 
-Three tables.  Episodes are paired: all agents meet the same postures, targets and noise.
+Three tables.  Episodes are paired: all agents play the same postures, targets and noise.
 
 - Parts: success with all parts, without one, and with none; and that of an agent that is given what
   the parts identify (`known_body.py`).
@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from typing import Any
 
 import gymnasium as gym
@@ -26,7 +25,6 @@ from rich.progress import track
 from rich.table import Table
 
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body, network_of_body
-from mmc_gym.agents.body_model.forward_model import hand
 from mmc_gym.agents.body_model.imagination import SETTLE
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.benchmark.suite import find_scenarios
@@ -39,24 +37,13 @@ from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 from mmc_gym.network import EuclideanNormalizer
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import Make, Played, body_model, percent, play
+from studies.tables import table_of
 
-SCENARIOS = (
-    "random",
-    "pursuit",
-    "double-step-200",
-    "rotation-30",
-    "longer-20",
-    "locked-2",
-    "locks-2",
-    "force-field-60",
-    "hand-mass-10",
-    "gravity-60",
-    "joint-noise-0.05",
-    "vision-noise-0.1",
-    "delay-200",
-    "obstacles-2",
-)
-HUMAN = ("random", "rotation-60", "locked-2", "locks-2", "delay-200", "double-step-200", "pursuit")
+SCENARIOS = """
+    random pursuit double-step-200 rotation-30 longer-20 locked-2 locks-2 force-field-60
+    hand-mass-10 gravity-60 joint-noise-0.05 vision-noise-0.1 delay-200 obstacles-2
+"""
+HUMAN = "random rotation-60 locked-2 locks-2 delay-200 double-step-200 pursuit"
 PARTS = {
     "filters": "no filters",
     "bridges_delay": "no delay",
@@ -65,6 +52,14 @@ PARTS = {
     "imagines": "no imagination",
     "drives": "no drive",
     "avoids": "no contacts",
+}
+KINEMATIC: dict[str, Any] = {"dynamics": "kinematic", "damping": 2.5}
+EUCLIDEAN: dict[str, Any] = {"normalizer": EuclideanNormalizer()}
+SWITCHES: dict[str, dict[str, Any]] = {
+    "learned\ndynamic": {},
+    "learned\nkinematic": KINEMATIC,
+    "Euclidean\ndynamic": EUCLIDEAN,
+    "Euclidean\nkinematic": {**EUCLIDEAN, **KINEMATIC},
 }
 VIGOURS = (1.0, 0.5, 0.0)
 SETTLED = 0.01
@@ -95,9 +90,9 @@ class Arguments:
         """Return the episodes of an agent."""
         return play(agent, scenario, self.episodes, self.seed)
 
-    def each(self, default: Sequence[str]) -> list[Playable]:
+    def each(self, default: str) -> list[Playable]:
         """Return the scenarios of `--scenarios`, or the default ones if none are given."""
-        return list(find_scenarios(self.scenarios or default).values())
+        return list(find_scenarios(self.scenarios or default.split()).values())
 
 
 def of_parts(arguments: Arguments) -> Table:
@@ -108,60 +103,38 @@ def of_parts(arguments: Arguments) -> Table:
     agents = {heading: body_model(parts, build) for heading, parts in chosen.items()}
     if arguments.model == "mmc":
         agents = {"given the truth": KnownBody, **agents}
-    title = f"{arguments.model}-body: success %, {arguments.episodes} episodes"
-    table = _table(title, "scenario", *agents)
+    rows = []
     for scenario in track(arguments.each(SCENARIOS), transient=True):
-        found = (percent(arguments.played(make, scenario)) for make in agents.values())
-        table.add_row(scenario.name, *found)
-    return table
+        found = {name: percent(arguments.played(make, scenario)) for name, make in agents.items()}
+        rows.append({"scenario": scenario.name, **found})
+    return table_of(rows, f"{arguments.model}-body: success %, {arguments.episodes} episodes")
 
 
 def of_switches(arguments: Arguments) -> Table:
     """Return the table of the network's switches: success, median time to target; its cost."""
-    normalizers: dict[str, Any] = {
-        "learned": {},
-        "Euclidean": {"normalizer": EuclideanNormalizer()},
-    }
-    dynamics: dict[str, Any] = {
-        "dynamic": {},
-        "kinematic": {"dynamics": "kinematic", "damping": 2.5},
-    }
-    switches = {
-        f"{one}\n{other}": {**normalizers[one], **dynamics[other]}
-        for one, other in product(normalizers, dynamics)
-    }
-    agents = {heading: body_model(**how) for heading, how in switches.items()}
-    title = f"switches of the network: success %, time to target s, {arguments.episodes} episodes"
-    table = _table(title, "", *agents)
+    agents = {heading: body_model(**how) for heading, how in SWITCHES.items()}
+    rows = []
     for scenario in track(arguments.each(SCENARIOS), transient=True):
-        played = [arguments.played(make, scenario) for make in agents.values()]
-        table.add_row(scenario.name, *(f"{percent(one)}  {_time(one[0]):.2f}" for one in played))
-    table.add_section()
-    missed = [misses(**how) for how in switches.values()]
-    table.add_row(
-        f"iterations to a median miss of {SETTLED}", *(f"{_first(one, SETTLED)}" for one in missed)
-    )
-    table.add_row(
-        f"median miss after {SETTLE}, in lengths", *(f"{one[SETTLE - 1]:.4f}" for one in missed)
-    )
+        row = {"": scenario.name}
+        for heading, make in agents.items():
+            played = arguments.played(make, scenario)
+            row[heading] = f"{percent(played)}  {_time(played[0]):.2f}"
+        rows.append(row)
+    missed = [misses(**how) for how in SWITCHES.values()]
     times = action_times(list(agents.values()))
-    table.add_row("time per action of one arm, µs", *(f"{1e6 * time:.0f}" for time in times))
-    return table
+    cost = {
+        f"iterations to a median miss of {SETTLED}": [_first(one, SETTLED) for one in missed],
+        f"median miss after {SETTLE}, in lengths": [f"{one[SETTLE - 1]:.4f}" for one in missed],
+        "time per action of one arm, µs": [f"{1e6 * time:.0f}" for time in times],
+    }
+    rows += [{"": heading, **dict(zip(agents, cells))} for heading, cells in cost.items()]
+    title = f"switches of the network: success %, time to target s, {arguments.episodes} episodes"
+    return table_of(rows, title)
 
 
 def of_vigour(arguments: Arguments) -> Table:
     """Return the table of vigour; all but success is measured in successful episodes."""
-    table = _table(
-        f"vigour: {arguments.episodes} episodes",
-        "scenario",
-        "vigour",
-        "success %",
-        "given the truth",
-        "time to target, s",
-        "correlation with\nminimum jerk, median",
-        f"above {BELL}, %",
-        "one velocity\npeak, %",
-    )
+    rows = []
     for scenario in track(arguments.each(HUMAN), transient=True):
         for vigour in VIGOURS:
             parts = Parts(vigour=vigour)
@@ -171,18 +144,18 @@ def of_vigour(arguments: Arguments) -> Table:
             likeness = np.array([minimum_jerk_correlation(one) for one in arrived])
             likeness = likeness[~np.isnan(likeness)]  # NaN where the hand began at the target
             peaks = np.array([velocity_peaks(one) for one in arrived])
-            table.add_row(
-                scenario.name if vigour == VIGOURS[0] else "",
-                f"{vigour:g}",
-                percent(played),
-                percent(given),
-                f"{_time(arrived):.2f}",
-                f"{np.median(likeness):.3f}",
-                f"{100 * np.mean(likeness >= BELL):.1f}",
-                f"{100 * np.mean(peaks[~np.isnan(peaks)] == 1):.1f}",
-            )
-        table.add_section()
-    return table
+            row = {
+                "scenario": scenario.name if vigour == VIGOURS[0] else "",
+                "vigour": f"{vigour:g}",
+                "success %": percent(played),
+                "given the truth": percent(given),
+                "time to target, s": f"{_time(arrived):.2f}",
+                "correlation with\nminimum jerk, median": f"{np.median(likeness):.3f}",
+                f"above {BELL}, %": f"{100 * np.mean(likeness >= BELL):.1f}",
+                "one velocity\npeak, %": f"{100 * np.mean(peaks[~np.isnan(peaks)] == 1):.1f}",
+            }
+            rows.append(row)
+    return table_of(rows, f"vigour: {arguments.episodes} episodes")
 
 
 def misses(arms: int = 500, **settings: Any) -> np.ndarray:
@@ -190,14 +163,13 @@ def misses(arms: int = 500, **settings: Any) -> np.ndarray:
     arm = ReachInterface((1.0,) * 3, "joint_position", 6.0, 12.0, 0.02)
     network = network_of_body(arm, **settings)
     starts, wanted = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, arms, 3))
-    lengths = np.array(network.segment_lengths)
     target = segments_from_joint_angles(wanted, network.segment_lengths).sum(axis=1)
     state, clamps = network.state_from_joint_angles(starts), network.inverse(target)
-    places = target[:, 0] + 1j * target[:, 1]
     found = []
     for _ in range(10 * SETTLE):
         state = network.run(state, clamps, 1)
-        found.append(np.median(np.abs(hand(state.joint_angles, lengths) - places)))
+        hands = segments_from_joint_angles(state.joint_angles, network.segment_lengths).sum(axis=1)
+        found.append(np.median(np.linalg.norm(hands - target, axis=-1)))
     return np.array(found)
 
 
@@ -205,15 +177,10 @@ def action_times(agents: Sequence[Make], rounds: int = 7) -> np.ndarray:
     """Return the median time per action of one arm, seconds; agents take turns."""
     env = gym.make("MMCReach-v0", control="joint_position")
     players = [make(env) for make in agents]
-    times = [
-        [
-            np.median(
-                np.concatenate([one.action_times for one in run_episodes(player, env, [seed])])
-            )
-            for player in players
-        ]
-        for seed in range(rounds)
-    ]
+    times = []
+    for seed in range(rounds):
+        played = [run_episodes(player, env, [seed])[0] for player in players]
+        times.append([np.median(one.action_times) for one in played])
     return np.median(times, axis=0)
 
 
@@ -224,13 +191,6 @@ def _time(episodes: Sequence[Episode]) -> float:
 def _first(misses: np.ndarray, least: float) -> str:
     below = np.flatnonzero(misses < least)
     return str(below[0] + 1) if below.size else f"> {len(misses)}"
-
-
-def _table(title: str, first: str, *headings: str) -> Table:
-    table = Table(first, title=title)
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    return table
 
 
 TABLES = {"parts": of_parts, "switches": of_switches, "vigour": of_vigour}

@@ -37,7 +37,7 @@ def body_model(
 def play(agent: str | Make, scenario: Playable, episodes: int, seed: int) -> Played:
     """Return the episodes of an agent: those of the benchmark if the seed is 0.
 
-    Every agent meets the same postures, targets and noise.  The list is empty if the agent cannot
+    Every agent plays the same postures, targets and noise.  The list is empty if the agent cannot
     act in the scenario.
     """
     instances = scenario.instances(episodes)

@@ -32,6 +32,7 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate
 from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.measures import MEASURES, Measure, leave_out_failures
+from studies.tables import table_of
 
 COLUMNS = ("known-body", "mmc-body", "ik-body", "optimal-control", "ppo-memory", "ppo", "mmc")
 BEHIND = 0.02  # success by which the best rival is ahead
@@ -59,43 +60,29 @@ def by_family(arguments: Arguments) -> Table:
     """Return the table of success by family."""
     stores = [store for store in arguments.stores if store.is_dir()]
     episodes = pd.concat([read_episodes(store) for store in stores], ignore_index=True)
-    played = set(episodes["agent"])
-    agents = [agent for agent in arguments.agents if agent in played]
+    agents = [agent for agent in arguments.agents if agent in set(episodes["agent"])]
     environments = read_manifest(arguments.stores[0]).environments
     families: dict[str, list[str]] = {}
     for key, settings in environments.items():
         families.setdefault(settings.get("family") or "tasks, unperturbed", []).append(key)
     families["all"] = list(environments)
-    table = Table(title="success %, mean over the scenarios of a family")
-    table.add_column("family", no_wrap=True)
-    for agent in agents:
-        table.add_column(agent, justify="right")
+    table = []
     for family, keys in families.items():
-        if family == "all":
-            table.add_section()
         rows = episodes[episodes["environment"].isin(keys) & episodes["agent"].isin(agents)]
         bootstrap = Bootstrap.of(rows, "success")
-        found = [bootstrap.estimate(agent, "mean") for agent in agents]
-        table.add_row(
-            f"{family} ({len(keys)})",
-            *(
-                f"{100 * one.estimate:.1f} [{100 * one.low:.0f}, {100 * one.high:.0f}]"
-                for one in found
-            ),
-        )
-    return table
+        found = {agent: bootstrap.estimate(agent, "mean") for agent in agents}
+        cells = {
+            agent: f"{100 * one.estimate:.1f} [{100 * one.low:.0f}, {100 * one.high:.0f}]"
+            for agent, one in found.items()
+        }
+        table.append({"family": f"{family} ({len(keys)})", **cells})
+    return table_of(table, "success %, mean over the scenarios of a family")
 
 
 def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) -> Estimate | None:
-    """Return by how much the first agent of a pair exceeds the second in a measure.
+    """Return by how much the first agent of a pair exceeds the second in a measure, in a scenario.
 
-    Args:
-        episodes: the episodes of one scenario.
-        measure: the measure.
-        pair: names of two agents.
-
-    Returns:
-        The difference with its interval; None if too few episodes have a value.
+    None if too few of its episodes have a value.
     """
     rows = episodes[episodes["agent"].isin(pair)]
     has_value = rows[measure.name].notna()
@@ -129,43 +116,40 @@ def against_each(agent: str, episodes: pd.DataFrame) -> Table:
         if one.shown and one.best != "neither" and one.name in episodes
     ]
     by_scenario = [rows for _, rows in episodes.groupby("environment", sort=False)]
-    table = Table(title=f"{agent} is clearly better, not clearly different, clearly worse than …")
-    table.add_column("", no_wrap=True)
-    for measure in measures:
-        table.add_column(measure.label, justify="right")
+    table = []
     for rival in rivals_of(agent, episodes):
-        cells = []
+        row = {"": rival}
         for measure in measures:
             found = [difference(rows, measure, (agent, rival)) for rows in by_scenario]
             counts = Counter(judge(one, measure) for one in found if one is not None)
-            cells.append(f"{counts['better']} {counts['unclear']} {counts['worse']}")
-        table.add_row(rival, *cells)
-    return table
+            row[measure.label] = f"{counts['better']} {counts['unclear']} {counts['worse']}"
+        table.append(row)
+    title = f"{agent} is clearly better, not clearly different, clearly worse than …"
+    return table_of(table or [{"": "no rival"}], title)
 
 
 def behind(agent: str, episodes: pd.DataFrame) -> Table:
     """Return the table of scenarios in which the best rival is ahead."""
-    success = MEASURES["success"]
-    table = Table(title=f"{agent} is more than {100 * BEHIND:g} points behind the best rival")
-    for heading in ("scenario", agent, "best rival", "its success", "difference"):
-        table.add_column(heading, justify="left" if heading == "scenario" else "right")
+    table = []
     for environment, rows in episodes.groupby("environment", sort=False):
         means = rows.groupby("agent", sort=False)["success"].mean()
         rivals = [rival for rival in rivals_of(agent, episodes) if rival in means]
         if agent not in means or not rivals:
             continue
         best = max(rivals, key=lambda rival: means[rival])
-        found = difference(rows, success, (agent, best))
+        found = difference(rows, MEASURES["success"], (agent, best))
         if found is not None and found.estimate < -BEHIND - 1e-9:
             estimate, low, high = (100 * one for one in (found.estimate, found.low, found.high))
-            table.add_row(
-                str(environment),
-                f"{100 * means[agent]:.1f}",
-                best,
-                f"{100 * means[best]:.1f}",
-                f"{estimate:.1f} [{low:.0f}, {high:.0f}]",
-            )
-    return table
+            row = {
+                "scenario": str(environment),
+                agent: f"{100 * means[agent]:.1f}",
+                "best rival": best,
+                "its success": f"{100 * means[best]:.1f}",
+                "difference": f"{estimate:.1f} [{low:.0f}, {high:.0f}]",
+            }
+            table.append(row)
+    title = f"{agent} is more than {100 * BEHIND:g} points behind the best rival"
+    return table_of(table or [{"scenario": "none"}], title)
 
 
 def rivals_of(agent: str, episodes: pd.DataFrame) -> list[str]:
