@@ -52,6 +52,10 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 10  # episodes between two drawings of the progress bar
+_DIFFERENCES = {  # measures that are compared: unit, and the words for a higher and a lower value
+    "success": ("points", "higher", "lower"),
+    "time_to_target": ("s", "slower", "faster"),
+}
 TIMED = 10
 """Number of episodes that agents play one by one as well as in a batch, to time single actions."""
 
@@ -71,8 +75,8 @@ def compare(
 ) -> Comparison:
     """Let agents play the same episodes.
 
-    An ideal hand that meets the same targets stands beside them, where there is one (`REFERENCE`).
-    Check all arguments, and make the agents, before the first episode.
+    An ideal hand without an arm, `REFERENCE`, reaches for the same targets, where there is one.
+    All arguments are checked, and all agents made, before the first episode.
 
     Args:
         agents: names, paths of files, functions, classes, models of stable-baselines3, or other
@@ -84,13 +88,13 @@ def compare(
         seed: of the starts and targets, see `episode_seeds`, and of the bootstrap.
         out: folder for data and figure; None writes none.
         console: to print the table to; None prints nothing.  `print(comparison)` does, too.
-        focus: labels of the agents in question.  They stand first, and are compared with each
+        focus: labels of the agents to compare.  They come first, and are compared with each
             other one.  By default your own agents, or else the first.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
-            several control modes, or do not tell theirs.
+            several control modes, or do not declare one.
         interface: for an environment that is not of this package, the `ReachInterface` that you
             wrote for it, "module:name" of one, or a function of the environment that returns one.
-            Measures of what it does not say are left out.
+            Measures of what it does not report are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
 
@@ -129,10 +133,10 @@ def compare(
         found.append(resolve(REFERENCE))
         played.append(minimum_jerk_episodes(played[0]))
         steps[REFERENCE] = 0
-    table = _tidy(found, played)
     recorded: dict[str, tuple[Episode, ...]] = {}
     for agent, one in zip(found, played):
         recorded[agent.label] = recorded.get(agent.label, ()) + one
+    table = _tidy(found, played)
     comparison = Comparison(
         env=scenario.name,
         seed=seed,
@@ -166,7 +170,7 @@ class Comparison:
     env: str  #: id of the environment
     seed: int  #: of the starts, the targets and the resampling
     reach: float  #: of the arm, segment lengths
-    focus: tuple[str, ...]  #: the agents in question, which stand first
+    focus: tuple[str, ...]  #: the agents to compare, which come first
     #: the episodes of each agent, of one training after the other, and of `REFERENCE` if there are
     #: any; the i-th of each training have the same start and target
     recorded: Mapping[str, tuple[Episode, ...]]
@@ -197,6 +201,10 @@ class Comparison:
         return int(self.episodes["episode"].nunique())
 
     @property
+    def _first(self) -> Episode:
+        return next(iter(self.recorded.values()))[0]
+
+    @property
     def headline(self) -> str:
         """The success of each agent, in a line."""
         means = self.episodes.groupby("agent")["success"].mean()[self.agents]
@@ -214,25 +222,11 @@ class Comparison:
         lines = []
         for number, agent in enumerate(self.focus):
             others = [one for one in self.agents if one not in self.focus[: number + 1]]
-            for measure, unit, more, less in (
-                (MEASURES["success"], "points", "higher", "lower"),
-                (MEASURES["time_to_target"], "s", "slower", "faster"),
-            ):
-                found: dict[tuple[str, str], list[str]] = {}
-                for other in others:
-                    one = self._difference(measure, agent, other)
-                    ends, word = (one.low, one.high), more
-                    if one.estimate < 0:
-                        ends, word = (-one.high, -one.low), less
-                    what = f"{measure.number(abs(one.estimate))} {unit} {word} than"
-                    what = what if one.estimate else "equal to"
-                    if math.isfinite(one.estimate):
-                        found.setdefault((what, measure.interval(*ends)), []).append(other)
-                texts = [
-                    f"{what} {', '.join(them)} {by}".rstrip() for (what, by), them in found.items()
-                ]
-                if texts:
-                    lines.append(f"{agent}, {measure.label}: {'; '.join(texts)}")
+            for name, words in _DIFFERENCES.items():
+                measure = MEASURES[name]
+                found = {other: self._difference(measure, agent, other) for other in others}
+                if text := _in_words(measure, words, found):
+                    lines.append(f"{agent}, {measure.label}: {text}")
         return "\n".join(lines)
 
     def _difference(self, measure: Measure, agent: str, other: str) -> Estimate:
@@ -262,39 +256,42 @@ class Comparison:
     @property
     def note(self) -> str:
         """How to read the numbers: the lines below the table, and in summary.json."""
-        one, shown = next(iter(self.recorded.values())), self._shown
+        shown, time = self._shown, MEASURES["time_to_target"].label
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
-        timed = MEASURES["action_time"]
         of_all = ", ".join(one.label for one in shown if not (one.successes_only or one.sampled))
-        reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
-        differences = (
-            f"Differences are of the same episodes of both ({MEASURES['time_to_target'].label}: "
-            "where both ended there). "
-        )
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
-        where = f"{self.env} with {arguments}" if arguments else self.env
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
-        over = "replicate over trainings (so many) and episodes. "
-        trained = f"The intervals of {', '.join(several)} {over}" if several else ""
-        return (
-            f"{where}, {self._episodes} episodes, the same starts and targets for all agents. "
+        sentences = [
+            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, the "
+            "same starts and targets for all agents.",
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
-            f"segment lengths; at the target: {_within(one[0].tolerance)}. "
+            f"segment lengths; at the target: {_within(self._first.tolerance)}.",
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{self._episodes} have a value (none where the hand started there); {timed.label}: of "
-            f"those played one by one, the first {TIMED} of an agent that can play all at once. "
-            f"{reference if REFERENCE in self.recorded else ''}"
-            f"{differences if self.differences else ''}"
-            f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
-            f"{trained}The intervals{' of the others' if several else ''} replicate over episodes "
-            "(starts and targets), NOT over training seeds: each agent is the result of one "
-            "training, or of none."
+            f"{self._episodes} have a value (none where the hand started there); "
+            f"{MEASURES['action_time'].label}: of those played one by one, the first {TIMED} of an "
+            "agent that can play all at once.",
+        ]
+        if REFERENCE in self.recorded:
+            sentences.append(f"{REFERENCE}: a hand without an arm, through the same measures.")
+        if self.differences:
+            sentences.append(
+                f"Differences are of the same episodes of both ({time}: where both ended there)."
+            )
+        sentences.append(f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all.")
+        if several:
+            over = "replicate over trainings (so many) and episodes."
+            sentences.append(f"The intervals of {', '.join(several)} {over}")
+        sentences.append(
+            f"The intervals{' of the others' if several else ''} replicate over episodes (starts "
+            "and targets), NOT over training seeds: each agent is the result of one training, or "
+            "of none."
         )
+        return " ".join(sentences)
 
     @property
     def settings(self) -> dict[str, Any]:
         """Everything that the comparison was made with, ready for JSON."""
-        one = next(iter(self.recorded.values()))
+        tolerance = self._first.tolerance
         return {
             "environment": self.env,
             "env_kwargs": json.loads(json.dumps(dict(self.env_kwargs), default=repr)),
@@ -306,8 +303,8 @@ class Comparison:
             "trainings": {agent: self.trainings[agent] for agent in self.agents},
             "episodes": self._episodes,
             "seed": self.seed,
-            "control_step": one[0].control_step,
-            "tolerance": None if math.isnan(one[0].tolerance) else one[0].tolerance,
+            "control_step": self._first.control_step,
+            "tolerance": None if math.isnan(tolerance) else tolerance,
             "confidence": CONFIDENCE,
             "bootstrap_resamples": RESAMPLES,
             "bootstrap_method": "percentile, over episodes, and trainings if an agent has several",
@@ -345,7 +342,7 @@ class Comparison:
             ]
             for agent, episodes in self.recorded.items()
         }
-        one = next(iter(self.recorded.values()))[0]
+        one = self._first
         return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
 
     def print(self, console: Console | None = None) -> None:
@@ -406,12 +403,35 @@ class Comparison:
         )
 
 
+def _in_words(
+    measure: Measure, words: tuple[str, str, str], differences: Mapping[str, Estimate]
+) -> str:
+    """Return how much an agent differs from others, equal differences together.
+
+    The `words` are the unit, and those for a higher and a lower value: "0.06 s slower than ppo
+    [−0.04, 0.16]".
+    """
+    unit, higher, lower = words
+    groups: dict[tuple[str, str], list[str]] = {}
+    for other, found in differences.items():
+        if not math.isfinite(found.estimate):
+            continue
+        low, high, word = found.low, found.high, higher
+        if found.estimate < 0:
+            low, high, word = -found.high, -found.low, lower
+        size = f"{measure.number(abs(found.estimate))} {unit} {word} than"
+        what = size if found.estimate else "equal to"
+        groups.setdefault((what, measure.interval(low, high)), []).append(other)
+    texts = [f"{what} {', '.join(them)} {ends}".rstrip() for (what, ends), them in groups.items()]
+    return "; ".join(texts)
+
+
 def _within(tolerance: float) -> str:
     return "as the environment says" if math.isnan(tolerance) else f"within {tolerance:g}"
 
 
 def _focus(agents: Sequence[ResolvedAgent], asked: Sequence[str]) -> tuple[str, ...]:
-    """Return the labels of the agents in question."""
+    """Return the labels of the agents to compare."""
     labels = [agent.label for agent in agents]
     for name in asked:
         require_choice("focus", name, dict.fromkeys(labels))
