@@ -23,7 +23,7 @@ from mmc_gym.envs.scenarios import EnvLike, parse_environment
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 Picture = NDArray[np.uint8]
-_SHORTEST = 0.02  # seconds for each picture of a GIF; browsers show shorter ones more slowly
+_LEAST_DURATION = 0.02  # seconds for each picture of a GIF; browsers show shorter ones more slowly
 
 
 def record(
@@ -78,7 +78,7 @@ def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
     """Return pictures (height, width, 3) as a GIF that loops, at most 50 pictures a second."""
     from PIL import Image
 
-    every = math.ceil(_SHORTEST * frame_rate)
+    every = math.ceil(_LEAST_DURATION * frame_rate)
     images = (
         Image.fromarray(picture).quantize()
         for number, picture in enumerate(pictures)

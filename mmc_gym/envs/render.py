@@ -32,7 +32,7 @@ Place = Sequence[float]  # (x, y), also a list or an array
 
 SIZE = 640  # width and height of the picture in pixels; video encoders like multiples of 16
 _OVERSAMPLING = 2
-_MARGIN = 1.1  # half the picture's width, in reaches
+_HALF_WIDTH = 1.1  # of the picture, in reaches
 _FONT_SIZE = 22  # of the caption
 
 # Blue and vermilion of the Okabe-Ito palette: apart for every kind of colour vision.
@@ -62,7 +62,7 @@ class View:
     @property
     def scale(self) -> float:
         """Pixels per segment length."""
-        return self.size / (2 * _MARGIN * self.reach)
+        return self.size / (2 * _HALF_WIDTH * self.reach)
 
     def pixel(self, point: Place) -> Point:
         """Return the pixel of a point (x, y) of the world."""

@@ -12,8 +12,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -429,19 +428,17 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
     digest of its code: changed code is another scenario.
     """
 
-    def fields(value: Any) -> Any:
+    def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
-        kept = {"value": repr(value)} if not hasattr(value, "__dict__") else vars(value)
-        # A cached property appears among the others once it has been read.
-        cached = {name for name in kept if isinstance(_declared(value, name), cached_property)}
-        plain = {name: one for name, one in kept.items() if name not in cached}
         code = code_of(value)
-        return {"name": type(value).__name__, **plain, **({"code": code} if code else {})}
+        return {"name": type(value).__name__, **_fields(value), **({"code": code} if code else {})}
 
-    return json.loads(json.dumps(arguments, default=fields))
+    return json.loads(json.dumps(arguments, default=plain))
 
 
-def _declared(value: Any, name: str) -> Any:
-    """Return what the class of a value says of an attribute; None if nothing."""
-    return inspect.getattr_static(type(value), name, None)
+def _fields(value: Any) -> dict[str, Any]:
+    """Return the declared fields of an object; its attributes, if its class declares none."""
+    if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
+        return {one.name: getattr(value, one.name) for one in fields(value)}
+    return dict(vars(value)) if hasattr(value, "__dict__") else {"value": repr(value)}

@@ -30,7 +30,7 @@ from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.measures import run_episodes
 
 DISC = Obstacles().discs[0]
-STILL = np.zeros(3, np.float32)
+NO_ACTION = np.zeros(3, np.float32)
 
 
 def movement(env, seed=0, steps=100, options=None):
@@ -117,7 +117,7 @@ def observed(perturbations, steps=4000):
     """Observations (steps, 15) of an arm that hangs limp, at rest."""
     env = MMCReachEnv(control="joint_torque", perturbations=perturbations)
     env.reset(seed=0, options={"joint_angles": [0.3, 0.5, -0.4], "target": (-1.0, 1.5)})
-    return np.array([env.step(STILL)[0] for _ in range(steps)], np.float64), env
+    return np.array([env.step(NO_ACTION)[0] for _ in range(steps)], np.float64), env
 
 
 def seen(env, observations):

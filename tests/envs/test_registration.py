@@ -24,7 +24,7 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs import names, scenarios
-from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
+from mmc_gym.envs.names import FAMILIES, TASKS, TaskEntry, environment_id, register_all
 from mmc_gym.envs.perturbations import (
     ForceField,
     Gravity,
@@ -37,7 +37,8 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.scenarios import parse_environment, parse_scenario
+from mmc_gym.envs.scenarios import Scenario, parse_environment, parse_scenario
+from mmc_gym.envs.tasks import PointToPoint
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS
 
@@ -249,6 +250,21 @@ def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar
     assert all(parse_scenario(name) == one for name, one in SCENARIOS.items())
     assert find_scenarios([]) == SCENARIOS
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
+
+
+def test_a_task_is_added_by_one_entry(monkeypatch, forget_what_is_registered):
+    entry = TaskEntry("near", PointToPoint(((0.0, 0.5), (0.1, 0.5)), ((0, 1),)), "a short way")
+    monkeypatch.setitem(TASKS, "near", entry)
+    register_all()
+    for env in (
+        gym.make("MMCReachNear-v0"),
+        mmc_gym.make("near+delay-40"),
+        MMCReachEnv(task="near"),
+    ):
+        assert env.unwrapped.setup.task is entry.task
+    assert parse_scenario("MMCReachNear-v0") == parse_scenario("near") == Scenario(entry)
+    assert mmc_gym.list_tasks().rows[-1] == ("near", "a short way", "100 steps, 1 trials")
+    assert "near" in mmc_gym.list_scenarios()
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -31,7 +31,7 @@ from mmc_gym.geometry import reachable_radii, segments_from_joint_angles
 from mmc_gym.measures import run_episodes
 from studies.paper.protocol import PAIRS, TARGETS
 
-STILL = np.zeros(3, np.float32)
+NO_ACTION = np.zeros(3, np.float32)
 
 
 class Misspelt(RandomTarget):
@@ -41,7 +41,7 @@ class Misspelt(RandomTarget):
 
 def targets_of(env, steps, **reset):
     """Where the target is at reset and after each step, (steps + 1, 2)."""
-    infos = [env.reset(**reset)[1], *(env.step(STILL)[4] for _ in range(steps))]
+    infos = [env.reset(**reset)[1], *(env.step(NO_ACTION)[4] for _ in range(steps))]
     return np.array([info["target"] for info in infos])
 
 
@@ -208,10 +208,10 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
     env, twin = MMCReachEnv(task=task), MMCReachEnv(task=task)
     for one in (env, twin):
         one.reset(seed=1)
-        one.step(STILL)
+        one.step(NO_ACTION)
     with pytest.raises(ValueError, match=r"options\['trial'\] must"):
         env.reset(seed=2, options={"trial": trial})
-    for act in (lambda one: one.step(STILL), lambda one: one.reset()):
+    for act in (lambda one: one.step(NO_ACTION), lambda one: one.reset()):
         assert data_equivalence(act(env), act(twin), exact=True)
 
 
@@ -314,8 +314,8 @@ def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(lengths, sha
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.0, 1.5), (-2.0, 1.0)])
 @pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):
-    space, random = workspace((1.0, 1.0, 1.0)), np.random.default_rng(0)
-    space.cursor = rotation = VisuomotorRotation(degrees, centre)
+    rotation, random = VisuomotorRotation(degrees, centre), np.random.default_rng(0)
+    space = Workspace(ArmParameters(), cursor=rotation)
     for _ in range(300):
         target = space.draw_target(random, [])
         assert space.contains(target)
