@@ -257,7 +257,7 @@ def _corrections(of: Movements, kinds: NDArray[np.str_]) -> Corrections | None:
     if not len(jumps):
         return None
     goals = (of.targets - (of.cursors - of.hands))[:, jumps].astype(np.float64)
-    go_step = max(round(one.go_cue / of.control_step) for one in of.schedule)
+    go_step = max(round(one.condition.go_cue / of.control_step) for one in of.schedule)
     moved = goals - goals[:, :, [go_step + 1]]
     sizes = np.linalg.norm(moved[:, :, -1], axis=-1)
     if not sizes.any():

@@ -10,9 +10,11 @@ Others are written in Python or YAML.  Angles are in degrees, counter-clockwise.
 from __future__ import annotations
 
 import functools
+import inspect
 import json
 import math
 import re
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -22,13 +24,30 @@ import numpy as np
 import yaml
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, StringConstraints, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    PlainSerializer,
+    PlainValidator,
+    StringConstraints,
+    TypeAdapter,
+    ValidationError,
+)
 from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
-from mmc_gym.envs.names import parse_change
-from mmc_gym.envs.perturbations import CursorJump, ErrorClamp, ForceField, Perturbation
+from mmc_gym.envs.names import Change, TaskEntry, parse_change
+from mmc_gym.envs.perturbations import (
+    Cursor,
+    CursorJump,
+    ErrorClamp,
+    ForceField,
+    Noise,
+    SensoryDelay,
+)
+from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.tasks import CuedTarget, outward
 
 if TYPE_CHECKING:
@@ -37,21 +56,49 @@ if TYPE_CHECKING:
 
 Class = TypeVar("Class", bound=type)
 
-
-def _perturbation(name: str) -> str:
-    return parse_change(name).name
-
-
 TRIALS_MOST = 100_000
 """Trials of an experiment, at most."""
 
-Word = Annotated[str, MinLen(1)]
-Seconds = Annotated[float, Ge(0), Lt(1000)]
-Perturbations = tuple[Annotated[str, AfterValidator(_perturbation)], ...]
+
+def _named(value: object) -> Change:
+    """Return a perturbation that has a name, by which files hold it."""
+    change = value if isinstance(value, Change) else parse_change(value)
+    require(change.family is not None, "perturbations", change.name, "registered under a name")
+    return change
+
+
+def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
+    """Refuse a perturbation that has no measure of learning, unless it disturbs the senses."""
+    for change in changes:
+        one = change.perturbation
+        turns = isinstance(one, Cursor) and change.unit == "°"
+        if not (turns or isinstance(one, ForceField | CursorJump | Noise | SensoryDelay)):
+            raise UserError(
+                "must be rotation, clamp, force-field or cursor-jump, which have a measure of "
+                f"learning, or noise or delay; {change.name} may hold in all trials (noise)"
+            )
+    return changes
+
+
+Perturbations = Annotated[
+    tuple[
+        Annotated[
+            Change,
+            PlainValidator(_named),
+            PlainSerializer(lambda change: change.name, return_type=str),
+        ],
+        ...,
+    ],
+    BeforeValidator(lambda value: (value,) if isinstance(value, str | Change) else value),
+]
+Learned = Annotated[Perturbations, AfterValidator(_measured)]
 Directions = tuple[
     Annotated[float, Ge(-360), Lt(360), AfterValidator(lambda turn: turn % 360)], ...
 ]
-Kind: TypeAlias = Literal["plain", "catch", "clamp", "transfer", "jump", "other"]
+Word = Annotated[str, MinLen(1)]
+Seconds = Annotated[float, Ge(0), Lt(1000)]
+ProbeKind: TypeAlias = Literal["catch", "clamp", "transfer", "jump", "other"]
+Kind: TypeAlias = Literal["plain", ProbeKind]
 """What a trial is measured as; "plain" trials are those without a probe and without a clamp."""
 
 EIGHT = tuple(45.0 * k for k in range(8))
@@ -65,12 +112,24 @@ def _explained(cls: Class) -> Class:
     @functools.wraps(plain)
     def initialize(self: Any, *args: Any, **arguments: Any) -> None:
         try:
-            plain(self, *args, **arguments)
+            named = inspect.signature(cls).bind_partial(*args).arguments  # so errors name them
+            plain(self, **named, **arguments)
         except ValidationError as error:
             raise UserError(f"{cls.__name__}: {explain(error)}") from error
 
     cls.__init__ = initialize  # type: ignore[misc]
     return cls
+
+
+def _has(changes: Sequence[Change], kind: type) -> bool:
+    """Return whether one of the perturbations is of a class."""
+    return any(isinstance(one.perturbation, kind) for one in changes)
+
+
+def _strength(changes: Sequence[Change]) -> float:
+    """Return the strength of the last perturbation that is not of the senses; 0 without one."""
+    learned = [one for one in changes if not _has([one], Noise | SensoryDelay)]  # type: ignore
+    return (learned[-1].strength or 0.0) if learned else 0.0
 
 
 @_explained
@@ -82,15 +141,15 @@ class Probe:
     #: one of so many trials, at a drawn place among them, the same for all subjects
     every: Annotated[int, Ge(2)]
     #: in place of the block's; none for a catch trial, clamp-0 for an error clamp
-    perturbations: Perturbations = ()
+    perturbations: Learned = ()
     targets: Directions = ()  #: directions in place of the block's, which may never be trained
     target_jump: float = 0.0  #: of the target in flight, see `CuedTarget.jump`
     #: what its trials are measured as.  None: "jump" with a jump of cursor or target; or "transfer"
     #: with targets of its own, "clamp" in an error clamp, "catch" without perturbations, or "other"
-    kind: Literal["catch", "clamp", "transfer", "jump", "other"] | None = None
+    kind: ProbeKind | None = None
 
     @property
-    def measured_as(self) -> Kind:
+    def measured_as(self) -> ProbeKind:
         """Its kind, which follows from its other fields if it is not given."""
         if self.kind is not None:
             return self.kind
@@ -103,11 +162,6 @@ class Probe:
         return "other" if self.perturbations else "catch"
 
 
-def _has(perturbations: tuple[str, ...], kind: type[Perturbation]) -> bool:
-    """Return whether one of the perturbations is of a class."""
-    return any(isinstance(parse_change(one).perturbation, kind) for one in perturbations)
-
-
 @_explained
 @dataclass(frozen=True, config=_STRICT)
 class Block:
@@ -115,7 +169,9 @@ class Block:
 
     name: Word  #: of the phase, such as "baseline" or "washout"
     trials: Annotated[int, Gt(0), Le(TRIALS_MOST)]  #: how many
-    perturbations: Perturbations = ()  #: names, such as "rotation-30"
+    #: names, such as "rotation-30", or `Change`s: rotation, clamp, force-field and cursor-jump, of
+    #: which learning is measured, and what disturbs the senses
+    perturbations: Learned = ()
     #: directions from the start; each subject meets them in an order of its own, all of them before
     #: one comes again
     targets: Annotated[Directions, MinLen(1)] = EIGHT
@@ -127,21 +183,15 @@ class Block:
     def __post_init__(self) -> None:
         share = sum(1 / probe.every for probe in self.probes)
         require(share < 1, "probes", self.probes, "fewer than the trials")
-        for name in self.perturbations if self.gradual else ():
-            family = parse_change(name).family
-            whole = family is not None and family.whole
-            require(not whole, "perturbations", name, "one that can grow, in a gradual block")
 
-    def perturbations_in(self, trial: int) -> tuple[str, ...]:
-        """Return the names of the perturbations in a trial of the block, counted from 0."""
+    def perturbations_in(self, trial: int) -> tuple[Change, ...]:
+        """Return the perturbations in a trial of the block, counted from 0."""
         if not self.gradual:
             return self.perturbations
-        grown = []
-        for one in map(parse_change, self.perturbations):
-            grown.append(
-                one.with_strength(round((one.strength or 0.0) * (trial + 1) / self.trials, 2)).name
-            )
-        return tuple(grown)
+        return tuple(
+            one.with_strength((one.strength or 0.0) * (trial + 1) / self.trials)
+            for one in self.perturbations
+        )
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
         """Return the probe of each trial, or None; their places are drawn."""
@@ -165,30 +215,39 @@ class Block:
         return [one and one[0] for one in found]
 
 
+class Condition(NamedTuple):
+    """What may differ between the environments of trials."""
+
+    perturbations: tuple[Change, ...] = ()
+    go_cue: float = 0.0
+    target_jump: float = 0.0
+
+
+UNCHANGED = Condition()
+
+
 class PlannedTrial(NamedTuple):
     """A trial of an experiment; attributes that are not explained are those of block and probe."""
 
     trial: int  #: its number in the experiment, from 0
     block: int  #: index of its block
     phase: str  #: the block's name
-    perturbations: tuple[str, ...]
-    strength: float  #: of the last perturbation; 0 without one
+    condition: Condition
+    strength: float  #: of the last perturbation that is not of the senses; 0 without one
     probe: str  #: the probe's name; empty for other trials
     kind: Kind  #: what it is measured as; "clamp" in all trials of a block under an error clamp
     targets: tuple[float, ...]  #: the directions of which one is met
     rest: float  #: before it, s
-    go_cue: float
-    target_jump: float
 
     @property
     def is_clamped(self) -> bool:
         """Whether the cursor moves in a fixed direction."""
-        return _has(self.perturbations, ErrorClamp)
+        return _has(self.condition.perturbations, ErrorClamp)
 
     @property
     def is_field(self) -> bool:
         """Whether a force field pushes the hand."""
-        return _has(self.perturbations, ForceField)
+        return _has(self.condition.perturbations, ForceField)
 
 
 @_explained
@@ -213,14 +272,34 @@ class Experiment:
     #: of agents that have one (`body_model.parts.Parts`); 0 as people move
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
+    #: in `EXPERIMENTS`, for people's figures of such an experiment; empty for your own
+    family: str = ""
+
     def __post_init__(self) -> None:
         trials = sum(block.trials for block in self.blocks)
         require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
+        strong = (one for one in self._perturbations() if _strength([one]))
+        units = dict.fromkeys(one.unit for one in strong if not _has([one], CursorJump))
+        accepted = "of one kind, either force fields or turns of the cursor"
+        require(len(units) <= 1, "perturbations", [*units], accepted)
+
+    def _perturbations(self) -> Iterator[Change]:
+        """Yield the perturbations of all blocks and probes."""
+        for block in self.blocks:
+            yield from block.perturbations
+            for probe in block.probes:
+                yield from probe.perturbations
 
     @property
-    def family(self) -> str:
-        """The name without strength, as in `EXPERIMENTS`."""
-        return re.sub(r"-(-?[\d.]+)$", "", self.name)
+    def settings(self) -> dict[str, Any]:
+        """All entries, ready for JSON; perturbations by name."""
+        found: dict[str, Any] = TypeAdapter(Experiment).dump_python(self, mode="json")
+        return found
+
+    @property
+    def seconds(self) -> float:
+        """The duration of a trial, from its start on."""
+        return self.trial_seconds + max(block.go_cue for block in self.blocks)
 
     @functools.cached_property
     def directions(self) -> tuple[float, ...]:
@@ -228,33 +307,36 @@ class Experiment:
         pools = {one.targets for one in self.schedule}
         return tuple(sorted({direction for pool in pools for direction in pool}))
 
-    def task(self, go_cue: float = 0.0, target_jump: float = 0.0) -> CuedTarget:
-        """Return the task whose trial k has its target in the k-th of the `directions`."""
+    def scenario(self, condition: Condition = UNCHANGED, **arguments: Any) -> Scenario:
+        """Return what is played under a condition, with more arguments of the environment.
+
+        Trial k of its task has the target in the k-th of the `directions`.
+        """
         ways = outward([self.distance], [math.radians(turn) for turn in self.directions])
-        return CuedTarget(*ways, go_cue, target_jump)
+        task = CuedTarget(*ways, condition.go_cue, condition.target_jump)
+        changes = *self.noise, *condition.perturbations
+        return Scenario(TaskEntry(self.name, task), changes, arguments)
 
     @functools.cached_property
     def schedule(self) -> tuple[PlannedTrial, ...]:
         """The trials in their order, the same for all subjects."""
         planned: list[PlannedTrial] = []
         for index, block in enumerate(self.blocks):
+            plain: Kind = "clamp" if _has(block.perturbations, ErrorClamp) else "plain"
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
-                plain: Kind = "clamp" if _has(changes, ErrorClamp) else "plain"
-                last = parse_change(changes[-1]).strength if changes else None
+                jump = probe.target_jump if probe else 0.0
                 planned.append(
                     PlannedTrial(
                         trial=len(planned),
                         block=index,
                         phase=block.name,
-                        perturbations=changes,
-                        strength=last or 0.0,
+                        condition=Condition(changes, block.go_cue, jump),
+                        strength=_strength(changes),
                         probe=probe.name if probe else "",
                         kind=probe.measured_as if probe else plain,
                         targets=(probe and probe.targets) or block.targets,
                         rest=0.0 if trial else block.rest,
-                        go_cue=block.go_cue,
-                        target_jump=probe.target_jump if probe else 0.0,
                     )
                 )
         return tuple(planned)
@@ -283,8 +365,7 @@ class Experiment:
             pause = f"{block.rest:g} s rest, " if block.rest else ""
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
-        names = [name for one in self.schedule for name in one.perturbations]
-        units = dict.fromkeys(parse_change(name).unit for name in dict.fromkeys(names))
+        units = dict.fromkeys(one.unit for one in self._perturbations())
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
 
@@ -338,7 +419,7 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     if match is None or match[1] not in EXPERIMENTS:
         raise unknown("experiment", text, EXPERIMENTS, "one with a strength", "a file (mine.yml)")
     entries = dict(EXPERIMENTS[match[1]])
-    strength = f"{float(match[2] or entries.pop('strength')):g}"
-    entries.pop("strength", None)
+    default = entries.pop("strength")
+    strength = np.format_float_positional(float(match[2] or default), trim="-")
     filled_in = json.loads(json.dumps(entries).replace("{}", strength))
-    return Experiment(name=f"{match[1]}-{strength}", **filled_in)
+    return Experiment(name=f"{match[1]}-{strength}", family=match[1], **filled_in)

@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -40,22 +39,27 @@ from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
-from mmc_gym.envs.names import TaskEntry
-from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.scenarios import Scenario
-from mmc_gym.envs.vector import MMCReachVectorEnv
-from mmc_gym.experiments.experiment import Experiment, PlannedTrial, find_experiment
+from mmc_gym.experiments.experiment import Condition, Experiment, find_experiment
 from mmc_gym.experiments.results import ExperimentResult
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
-RECORDING = 2
+RECORDING = 3
 """Version of recordings; when it changes, all cells are played again."""
 
 _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
-_PATHS = ("hands", "cursors", "targets")
+_PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # of an `Episode`
 _Cell: TypeAlias = tuple[pa.Table, Kept]
+
+
+class Player(NamedTuple):
+    """An agent that can act in an experiment, and what its environments follow from."""
+
+    agent: Any  #: an `Agent`, or your own object with `predict`
+    control: str  #: its control mode
+    control_step: float  #: s
+    has_parts: bool  #: whether rate and retention are its own; yours stay as you made them
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class TrialsCell:
     subjects: range
     seed: int = 0
     keeps_all: bool = False
-    parts: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, Any] = field(default_factory=dict)  #: rate and retention, if it has them
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -88,45 +92,38 @@ class TrialsCell:
             "recording": RECORDING,
             "source": self.agent.source_name,
             "fingerprint": self.agent.fingerprint,
-            "experiment": asdict(cast(Any, self.experiment)),
+            "experiment": self.experiment.settings,
             **{name: getattr(self, name) for name in names},
         }
         found: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
         return found
 
-    def checked(self, known: set[str]) -> TrialsCell:
-        """Return the cell without parts that its agent lacks; refuse what cannot be played.
-
-        Arguments of environments that are `known` to be playable are not tried again.
-        """
-        player, arguments = self.player()
-        phases = {_condition(one): one.phase for one in self.experiment.schedule}
-        for condition, phase in phases.items() if repr(arguments) not in known else ():
-            try:
-                MMCReachEnv(**_world(self.experiment, condition, arguments)).close()
-            except UserError as error:
-                where = f"{phase!r} of the experiment {self.experiment.name}"
-                raise UserError(f"{where} cannot be played: {error}") from error
-        known.add(repr(arguments))
-        return self if self.has_parts(player) else replace(self, parts={})
-
-    def has_parts(self, player: Any) -> bool:
-        """Return whether the parts are those of its agent; yours stay as you made them."""
-        return isinstance(player, BodyAgent) and bool(self.agent.name)
-
-    def player(self) -> tuple[Any, Mapping[str, Any]]:
-        """Return the agent, and the arguments of its environments; refuse one that cannot act."""
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of all its environments."""
         limit = self.experiment.torque_limit
-        given = {} if limit is None else {"torque_limit": limit}
-        given |= self.env_kwargs
-        scenario = Scenario(TaskEntry("centre-out", self.experiment.task()), arguments=given)
-        player: Any
-        made, player = make_player(self.agent, scenario)
+        return {**({} if limit is None else {"torque_limit": limit}), **self.env_kwargs}
+
+    def player(self) -> Player:
+        """Make the agent; refuse one that cannot act."""
+        scenario, entry = self.experiment.scenario(**self.arguments), self.agent.entry
+        made, agent = make_player(self.agent, scenario)
         with closing(made):
-            given["control"] = read_attribute(made, "control")
-        if self.has_parts(player):
-            player.parts = replace(player.parts, **self.parts, vigour=self.experiment.vigour)
-        return player, given
+            control, arm = (read_attribute(made, name) for name in ("control", "parameters"))
+            has_parts = entry is not None and isinstance(agent, BodyAgent)
+            if entry is not None and isinstance(agent, BodyAgent):
+                parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
+                agent = entry.build(agent.interface, parts=parts)
+        return Player(agent, control, arm.control_step, has_parts)
+
+    def environment(self, player: Player, condition: Condition, arms: int) -> Any:
+        """Make the environment of trials of a condition, with several arms for an `Agent`."""
+        steps = round(self.experiment.seconds / player.control_step)
+        arguments = {**self.arguments, "max_episode_steps": steps}
+        scenario = self.experiment.scenario(condition, **arguments)
+        if isinstance(player.agent, Agent):
+            return scenario.make_vec(arms, player.control)
+        return scenario.make(player.control)  # it may take no batches
 
 
 def _stem(agent: str, settings: Mapping[str, Any]) -> str:
@@ -161,99 +158,107 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else list(value)
 
 
-def _condition(one: PlannedTrial) -> tuple[Any, ...]:
-    return one.perturbations, one.go_cue, one.target_jump
+class Session:
+    """The subjects of a cell in their trials: seeds, targets, environments and recorded paths."""
 
+    def __init__(self, cell: TrialsCell, player: Player) -> None:
+        """Draw the subjects' seeds and the directions of their targets, (subjects, trials)."""
+        self.cell, self.schedule = cell, cell.experiment.schedule
+        self.shape = len(cell.subjects), len(self.schedule)
+        sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
+        self.seeds = [one.generate_state(self.shape[1] + 1).tolist() for one in sequences]
+        self.angles = [cell.experiment.targets_of(own[-1]).tolist() for own in self.seeds]
+        self.paths: dict[str, NDArray[np.float32]] = {}
+        self.environment = lru_cache(maxsize=8)(partial(cell.environment, player))
 
-def _world(
-    experiment: Experiment, condition: tuple[Any, ...], arguments: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the arguments of the environment of a condition."""
-    perturbations, go_cue, jump = condition
-    given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
-    return {**given, "perturbations": [*experiment.noise, *perturbations]}
+    def play(self, agent: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
+        """Play trials (subject, trial) of one condition; return the agent's state at the end."""
+        env = self.environment(self.schedule[pairs[0][1]].condition, len(pairs))
+        directions = self.cell.experiment.directions
+        options = [{"trial": directions.index(self.angles[of][at])} for of, at in pairs]
+        seeds = [self.seeds[subject][trial] for subject, trial in pairs]
+        if state is None and isinstance(agent, Agent):
+            state = agent.begin(seeds)
+        episodes, state = run_trial(agent, env, seeds, options, state)
+        for pair, episode in zip(pairs, episodes, strict=True):
+            for name, attribute in _PATHS.items():
+                path = getattr(episode, attribute)
+                if name not in self.paths:
+                    self.paths[name] = np.empty((*self.shape, *path.shape), np.float32)
+                self.paths[name][pair] = path
+        return state
+
+    def play_in_turn(self, agent: Any, subjects: Iterable[int]) -> None:
+        """Play all trials of some subjects in their order, with what the agent keeps."""
+        keep = getattr(agent, "between_trials", lambda state, rest: None)
+        state, subjects = None, list(subjects)
+        for one in self.schedule:
+            if one.trial and not self.cell.keeps_all:
+                state = keep(state, one.rest)
+            state = self.play(agent, [(subject, one.trial) for subject in subjects], state)
+
+    def play_by_condition(self, agent: Predictor) -> None:
+        """Play all trials of a condition at once, with an agent that keeps nothing."""
+        alike: dict[Condition, list[int]] = {}
+        for one in self.schedule:
+            alike.setdefault(one.condition, []).append(one.trial)
+        for trials in alike.values():
+            pairs = list(product(range(self.shape[0]), trials))
+            for first in range(0, len(pairs), _TOGETHER):
+                self.play(agent, pairs[first : first + _TOGETHER])
+
+    def columns(self, control_step: float) -> dict[str, Any]:
+        """Return the columns of `ExperimentResult.trials`, and the paths."""
+        table = pd.DataFrame(self.schedule)[["trial", "block", "phase", "strength", "probe"]]
+        conditions = [one.condition for one in self.schedule]
+        table["perturbation"] = ["+".join(c.name for c in one.perturbations) for one in conditions]
+        table["go_step"] = [round(one.go_cue / control_step) for one in conditions]
+        subjects, trials = self.shape
+        starts = self.paths["hands"][:, :, 0].reshape(-1, 2)
+        shares = {name: self.cell.parts.get(name, ()) for name in ("rate", "retention")}
+        same = {name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares}
+        return {
+            "agent": [self.cell.agent.label] * len(starts),
+            "subject": np.repeat(np.array(self.cell.subjects), trials),
+            **pd.concat([table] * subjects),
+            "target_angle": np.ravel(self.angles),
+            "start_x": starts[:, 0],
+            "start_y": starts[:, 1],
+            **{name: [one] * len(starts) for name, one in same.items()},
+            "keeps_all": [self.cell.keeps_all] * len(starts),
+            **{name: _lists(values) for name, values in self.paths.items()},
+        }
 
 
 def run_cell(cell: TrialsCell) -> bytes:
     """Play a cell, and return its file."""
-    experiment, schedule = cell.experiment, cell.experiment.schedule
-    player, arguments = cell.player()
-    is_agent, trials, count = isinstance(player, Agent), range(len(schedule)), len(cell.subjects)
-    sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
-    seeds = [one.generate_state(len(schedule) + 1).tolist() for one in sequences]
-    angles = [experiment.targets_of(of[-1]).tolist() for of in seeds]
-    paths: dict[str, Any] = {}
-
-    @lru_cache(maxsize=8)
-    def world(condition: tuple[Any, ...], arms: int) -> Any:
-        """Return the environment of a condition."""
-        given = _world(experiment, condition, arguments)
-        env = MMCReachEnv(**given)
-        seconds = experiment.trial_seconds + max(one.go_cue for one in experiment.blocks)
-        steps = round(seconds / env.parameters.control_step)
-        if not is_agent:  # it may take no batches
-            return gym.wrappers.TimeLimit(env, steps)
-        return MMCReachVectorEnv(arms, max_episode_steps=steps, autoreset_mode="Disabled", **given)
-
-    def play(player: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
-        """Play trials (subject, trial) of one condition; return the agent's state at the end."""
-        env = world(conditions[pairs[0][1]], len(pairs))
-        options = [{"trial": experiment.directions.index(angles[of][at])} for of, at in pairs]
-        own = [seeds[subject][trial] for subject, trial in pairs]
-        if state is None and isinstance(player, Agent):
-            state = player.begin(own)
-        episodes, state = run_trial(player, env, own, options, state)
-        for pair, one in zip(pairs, episodes, strict=True):
-            each = {"hands": one.hands, "cursors": one.seen_hands, "targets": one.targets}
-            for name, path in each.items():
-                if name not in paths:
-                    paths[name] = np.empty((count, len(trials), *path.shape), np.float32)
-                paths[name][pair] = path
-        return state
-
-    def play_in_turn(player: Any, subjects: Sequence[int]) -> None:
-        """Play all trials of some subjects in their order, with what the agent keeps."""
-        state, keep = None, getattr(player, "between_trials", lambda state, rest: None)
-        for one in schedule:
-            if one.trial and not cell.keeps_all:
-                state = keep(state, one.rest)
-            state = play(player, [(subject, one.trial) for subject in subjects], state)
-
-    conditions = [_condition(one) for one in schedule]
-    if not is_agent:
-        for subject in range(count):
-            play_in_turn(cell.player()[0], [subject])
-    elif cell.keeps_all or player.learns:
-        play_in_turn(player, range(count))
+    player = cell.player()
+    session, subjects = Session(cell, player), range(len(cell.subjects))
+    if not isinstance(player.agent, Agent):
+        for subject in subjects:
+            session.play_in_turn(cell.player().agent, [subject])
+    elif cell.keeps_all or player.agent.learns:
+        session.play_in_turn(player.agent, subjects)
     else:
-        for condition in dict.fromkeys(conditions):
-            alike = [trial for trial in trials if conditions[trial] == condition]
-            pairs = list(product(range(count), alike))
-            for first in range(0, len(pairs), _TOGETHER):
-                play(player, pairs[first : first + _TOGETHER])
-    step = world(conditions[0], count).unwrapped.parameters.control_step
-    table = pd.DataFrame(schedule)[["trial", "block", "phase", "strength", "probe"]]
-    table["perturbation"] = ["+".join(one.perturbations) for one in schedule]
-    table["go_step"] = [round(one.go_cue / step) for one in schedule]
-    starts = paths["hands"][:, :, 0].reshape(-1, 2)
-    columns = {
-        "agent": [cell.agent.label] * count * len(trials),
-        "subject": np.repeat(np.array(cell.subjects), len(trials)),
-        **pd.concat([table] * count),
-        "target_angle": np.ravel(angles),
-        "start_x": starts[:, 0],
-        "start_y": starts[:, 1],
-        **{name: [one] * len(starts) for name, one in _settings_shown(cell).items()},
-        **{name: _lists(values) for name, values in paths.items()},
-    }
-    return to_parquet(columns, Kept(cell.settings, {"control_step": step}))
+        session.play_by_condition(player.agent)
+    facts = {"control_step": player.control_step}
+    return to_parquet(session.columns(player.control_step), Kept(cell.settings, facts))
 
 
-def _settings_shown(cell: TrialsCell) -> dict[str, Any]:
-    """Return how an agent goes through an experiment, as columns of its trials."""
-    shares = {name: cell.parts.get(name, ()) for name in ("rate", "retention")}
-    texts = {name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares}
-    return {**texts, "keeps_all": cell.keeps_all}
+def checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
+    """Yield cells without the parts that their agents lack; refuse what cannot be played."""
+    tried = set()
+    for cell in cells:
+        player, experiment = cell.player(), cell.experiment
+        phases = {one.condition: one.phase for one in experiment.schedule}
+        for condition, phase in phases.items() if player.control not in tried else ():
+            try:
+                experiment.scenario(condition, **cell.arguments).make(player.control).close()
+            except UserError as error:
+                where = f"{phase!r} of the experiment {experiment.name}"
+                raise UserError(f"{where} cannot be played: {error}") from error
+        tried.add(player.control)
+        yield cell if player.has_parts else replace(cell, parts={})
 
 
 def _lists(paths: NDArray[np.float32]) -> pa.Array:
@@ -301,15 +306,16 @@ def run_experiment(
     """
     experiment, given = find_experiment(experiment), dict(env_kwargs or {})
     subjects, seed = require_whole("subjects", subjects), require_whole("seed", seed, least=0)
-    Scenario(TaskEntry(experiment.name, experiment.task())).refuse(given, *SET_BY_SCENARIOS)
+    for name in SET_BY_SCENARIOS:
+        if name in given:
+            raise UserError(f"{name} must be left out of env_kwargs: the experiment sets it")
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shares: Any = [one if np.iterable(one) else (one,) for one in (rate, retention)]
     parts = Parts(rate=shares[0], retention=shares[1])  # checks them, and makes them floats
-    known: set[str] = set()
-    checked = [
+    whole = [
         TrialsCell(
             agent=agent,
             experiment=experiment,
@@ -318,11 +324,12 @@ def run_experiment(
             keeps_all=agent.label in keep,
             parts={"rate": parts.rate, "retention": parts.retention},
             env_kwargs=given,
-        ).checked(known)  # what cannot be played is refused before anything is
+        )
         for agent in found
     ]
-    cells = [replace(one, subjects=some) for one in checked for some in _in_files(subjects)]
-    for one in checked if folder else ():  # before play: a file that is missing later is noticed
+    whole = list(checked(whole))
+    cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
+    for one in whole if folder else ():  # before play: a file that is missing later is noticed
         plan = cast(Path, folder) / f"{one.stem}.json"
         if _subjects_in(plan) < subjects:
             write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")

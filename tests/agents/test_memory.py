@@ -12,10 +12,10 @@ from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.interface import ReachInterface
 
 
-def played(blocks, parts, build=mmc_body, subjects=1, **env_kwargs):
+def played(blocks, parts, build=mmc_body, subjects=1, noise=(), **env_kwargs):
     """Return the direction of the hand in each trial, at its fastest and at the end, degrees."""
     agents = {"learner": lambda env: build(ReachInterface.of(env), parts)}
-    experiment = Experiment("short", tuple(blocks))
+    experiment = Experiment("short", tuple(blocks), noise=noise)
     result = run_experiment(experiment, agents, subjects, jobs=1, env_kwargs=env_kwargs)
     way = result.hands - result.hands[:, :1]
     fastest = np.linalg.norm(np.diff(way, axis=1), axis=-1).argmax(axis=1) + 1
@@ -72,7 +72,7 @@ def test_contacts_are_looked_for_along_the_arm_that_was_learned(monkeypatch):
 
     monkeypatch.setattr(Contacts, "locate", noting)
     parts = Parts(vigour=0.0, rate=(1.0,), retention=(1.0,))
-    played([Block("longer", 2, ("longer-35",))], parts)
+    played([Block("longer", 2)], parts, noise=("longer-35",))
     np.testing.assert_allclose(felt[len(felt) // 2 :], [[1.0, 1.0, 1.35]] * 49, atol=0.02)
 
 

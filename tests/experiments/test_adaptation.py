@@ -23,7 +23,7 @@ LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 BELL = minimum_jerk(np.linspace(0, 1, 21))[:, None]
 
 
-def played(turn, subjects=6, family="rotation", called="own"):
+def played(turn, subjects=6, family="rotation", known_as=""):
     """Return a result of straight movements of `LEARNER`s, with a cursor turned by `turn`."""
     name = (f"{family}-{turn:g}",)
     blocks = (
@@ -32,7 +32,7 @@ def played(turn, subjects=6, family="rotation", called="own"):
         Block("washout", 24),
         Block("learning again", 24, name, rest=30.0),
     )
-    experiment = Experiment(called, blocks)
+    experiment = Experiment("own", blocks, family=known_as)
     schedule = experiment.schedule
     strengths = np.array([one.strength for one in schedule])
     compensated, _ = simulate_learners(LEARNER, strengths, subjects=subjects, noise=1.0)
@@ -103,14 +103,14 @@ def test_lengths_are_in_metres_where_asked_for():
 
 
 def test_a_single_subject_has_no_interval_and_no_band():
-    alone = played(15.0, subjects=1, family="clamp", called="clamp-15")
+    alone = played(15.0, subjects=1, family="clamp", known_as="clamp")
     table = learning_table(alone, 20)
     assert table.loc[table["agent"] != PEOPLE, ["low", "high"]].isna().all(axis=None)
     assert not learning_figure(alone, table, resamples=20).axes[1].collections
 
 
 def test_people_stand_beside_agents_in_an_experiment_that_they_did():
-    known = played(15.0, family="clamp", called="clamp-15")
+    known = played(15.0, family="clamp", known_as="clamp")
     table = learning_table(known, 20)
     row = table[table["agent"] == PEOPLE].set_index("measure").loc["clamp_asymptote"]
     assert (row["low"], row["high"], row["source"]) == (18.0, 18.0, "Tsay et al. 2020")

@@ -1,6 +1,5 @@
 """Facts about experiments as data: checked, planned, printed and drawn."""
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +7,15 @@ import pytest
 import yaml
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.experiments.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
+from mmc_gym.envs.names import parse_change
+from mmc_gym.experiments.experiment import (
+    EXPERIMENTS,
+    Block,
+    Condition,
+    Experiment,
+    Probe,
+    find_experiment,
+)
 
 YAML = """
 name: mine
@@ -27,7 +33,7 @@ blocks:
 
 def planned(*blocks: Block) -> list[tuple[tuple[str, ...], str]]:
     schedule = Experiment("mine", blocks).schedule
-    return [(one.perturbations, one.probe) for one in schedule]
+    return [(tuple(c.name for c in one.condition.perturbations), one.probe) for one in schedule]
 
 
 def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
@@ -38,7 +44,7 @@ def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     catch = Probe("catch", 4)
     learning = Block("learning", 8, ("rotation-30",), (0, 90), (catch,), gradual=True, rest=60)
     mine = Experiment("mine", (Block("baseline", 4), learning))
-    assert find_experiment(file) == mine == Experiment(**asdict(mine))
+    assert find_experiment(file) == mine == Experiment(**mine.settings)
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -46,7 +52,7 @@ def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     experiment = find_experiment(name)
     schedule = experiment.schedule
     assert [one.trial for one in schedule] == list(range(len(schedule)))
-    assert schedule[0].perturbations in ((), ("clamp-0",))
+    assert schedule[0].strength == 0
     assert Experiment(**yaml.safe_load(str(experiment))) == experiment
     (axes,) = experiment.plot().axes
     assert {block.name for block in experiment.blocks} <= {
@@ -62,9 +68,41 @@ def test_one_of_so_many_trials_is_a_probe_at_a_place_that_differs() -> None:
     assert all(planned(block)[place] == ((), "catch") for place in places)
 
 
-def test_a_gradual_block_ends_with_the_whole_perturbation() -> None:
-    names = [names for names, _ in planned(Block("grows", 4, ("rotation--30",), gradual=True))]
-    assert names == [("rotation--7.5",), ("rotation--15",), ("rotation--22.5",), ("rotation--30",)]
+@pytest.mark.parametrize("strength", [-30.0, 0.01, 1e6])
+def test_perturbations_of_a_gradual_block_grow_exactly_to_their_strength(strength) -> None:
+    change = parse_change("rotation").with_strength(strength)
+    experiment = Experiment("grows", (Block("grows", 3, change, gradual=True),))
+    assert [one.strength for one in experiment.schedule] == [
+        strength / 3,
+        strength * 2 / 3,
+        strength,
+    ]
+    assert experiment.schedule[2].condition.perturbations == (change,)
+    assert Experiment(**experiment.settings) == experiment
+
+
+@pytest.mark.parametrize(
+    ("fields", "kind"),
+    [
+        ({}, "catch"),
+        ({"perturbations": "clamp-0"}, "clamp"),
+        ({"perturbations": "clamp-0", "targets": (90,)}, "transfer"),
+        ({"perturbations": "cursor-jump-10"}, "jump"),
+        ({"target_jump": 10}, "jump"),
+        ({"perturbations": "rotation-60"}, "other"),
+        ({"perturbations": "rotation-60", "kind": "transfer"}, "transfer"),
+    ],
+)
+def test_the_kind_of_a_probe_follows_from_what_it_changes_or_is_given(fields, kind) -> None:
+    assert Probe("mine", 4, **fields).measured_as == kind
+
+
+@pytest.mark.parametrize("name", ["longer-50", "hand-mass-3", "locked-2", "gravity-10"])
+def test_what_has_no_measure_of_learning_is_refused_but_in_all_trials(name) -> None:
+    for refused in (Block, Probe):
+        with pytest.raises(UserError, match=f"perturbations must be rotation, .*{name} may"):
+            refused("a", 8, name)
+    assert Experiment("x", (Block("a", 8, "rotation-30"),), noise=name).noise[0].name == name
 
 
 def test_a_subject_meets_all_targets_before_one_comes_again() -> None:
@@ -75,8 +113,8 @@ def test_a_subject_meets_all_targets_before_one_comes_again() -> None:
 
 
 def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None:
-    task = find_experiment("target-jump").task(go_cue=0.1, target_jump=10.0)
-    env = MMCReachEnv(task=task)
+    condition = Condition(go_cue=0.1, target_jump=10.0)
+    env = find_experiment("target-jump").scenario(condition).make()
     infos = [env.reset(options={"trial": 0})[1]]
     infos += [env.step(np.zeros(3, np.float32))[4] for _ in range(15)]
     ways = np.array([info["target"] for info in infos]) - infos[0]["target"]
@@ -93,6 +131,10 @@ def test_what_is_no_experiment_is_refused():
         ({"blocks": [{"name": "a", "trials": 1, "trial": 1}]}, "blocks.0.trial is not known"),
         ({"blocks": [{"name": "a", "trials": 4, "probes": [{"name": "b", "every": 1}]}]}, "every"),
         ({"name": "Mine!"}, "name"),
+        (
+            {"blocks": [Block("a", 1, "rotation-30"), Block("b", 1, "force-field-60")]},
+            "of one kind",
+        ),
     ):
         with pytest.raises(UserError, match=message):
             Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})

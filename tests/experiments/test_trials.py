@@ -151,6 +151,13 @@ def test_a_trial_that_ends_before_its_jump_shows_no_correction() -> None:
         assert ({"latency", "gain"} <= set(measures)) == seen
 
 
+def test_a_probe_is_measured_whatever_it_is_called() -> None:
+    around = Probe("elsewhere", 2, "clamp-0", (90.0, 45.0, 135.0, 180.0))
+    block = Block("learning", 48, "rotation-30", (90.0,), (around,))
+    measures = run_experiment(Experiment("x", (block,)), ["mmc-body"], 1, jobs=1).measures
+    assert "width" in set(measures["measure"])
+
+
 def test_runs_of_other_settings_overwrite_nothing_and_are_not_mixed(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(trials, "_SUBJECTS", 2)
     agents = ["mmc-body", "ik-dls"]
@@ -235,7 +242,7 @@ def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Pat
 def test_what_cannot_be_played_is_refused_before_anything_is(monkeypatch) -> None:
     monkeypatch.setattr(trials, "run_cell", lambda cell: pytest.fail("played"))
     for names, gradual, message in (
-        (("delay-40",), True, "'b' of .* delay-5.71 would delay nothing"),
+        (("delay-40",), True, "'b' of .* delay-5.714285714285714 would delay nothing"),
         (("rotation-30", "clamp-0"), False, "at most one rotation"),
         (("pursuit+rotation-30",), False, "pursuit"),
     ):

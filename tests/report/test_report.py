@@ -175,9 +175,8 @@ def test_the_command_writes_the_report_and_refuses_a_folder_without_a_store(
 @pytest.fixture(scope="module")
 def experiments(tmp_path_factory):
     store = tmp_path_factory.mktemp("experiments")
-    clamped = Experiment(
-        "clamp-20", (Block("baseline", 8), Block("learning", 8, ("clamp-20",))), trial_seconds=0.4
-    )
+    blocks = (Block("baseline", 8), Block("learning", 8, "clamp-20"))
+    clamped = Experiment("clamp-20", blocks, trial_seconds=0.4, family="clamp")
     for agents, subjects in ((["ik-dls"], 1), ({"ik-dls": "ik-dls", HOSTILE: "mmc"}, 2)):
         run_experiment(clamped, agents, subjects, out=store, jobs=1)
     return store
