@@ -2,7 +2,8 @@
 
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import AGENTS, REFERENCE, AgentEntry, Knowledge
-from mmc_gym.agents.resolver import ResolvedAgent, make_agent, resolve, resolve_all
+from mmc_gym.agents.resolved import ResolvedAgent
+from mmc_gym.agents.resolver import make_agent, resolve, resolve_all
 
 __all__ = [
     "AGENTS",

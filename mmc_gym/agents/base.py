@@ -5,18 +5,13 @@ An agent sees only observations; besides, it is given a `ReachInterface`.
 
 from __future__ import annotations
 
-import inspect
 import math
-import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from copy import deepcopy
 from dataclasses import fields
 from functools import partial
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -57,59 +52,6 @@ class Predictor(Protocol):
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
         """Return the action for `observation`, and the state to hand back at the next step."""
-
-
-def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
-    """Return why a function does not take arguments; None if it does, or nobody knows."""
-    with suppress(ValueError):  # Python does not know its signature
-        try:
-            inspect.signature(function).bind(*arguments, **more)
-        except TypeError as error:
-            return error
-    return None
-
-
-def why_no_action(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> str:
-    """Return what a function does with an observation but give an action; "" if it gives one."""
-    space = deepcopy(env.observation_space)
-    space.seed(0)
-    try:
-        action = np.asarray(function(space.sample()))
-    except Exception as error:  # whatever the user's code raises
-        return raised(error)
-    shape = env.action_space.shape
-    if action.shape == shape and action.dtype.kind in "fiub":
-        return ""
-    return f"returned {action.dtype} of shape {action.shape}, an action has {shape}"
-
-
-def raised(error: Exception) -> str:
-    """Return what a user's function raised, and where: after the frame that called it."""
-    frames = traceback.extract_tb(error.__traceback__)
-    frame = frames[min(1, len(frames) - 1)]
-    return f"raised {type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"
-
-
-def function_agent(function: Callable[[Any], Any]) -> Predictor:
-    """Return the agent of a function of observations that returns an action, or it and a state."""
-
-    def predict(
-        observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        given = function(observation)
-        return given if isinstance(given, tuple) and len(given) == 2 else (given, None)
-
-    return SimpleNamespace(predict=predict)
-
-
-def with_whole_signature(agent: Any) -> Predictor:
-    """Return the agent; or one that calls its `predict` with the observation alone."""
-    if refusal(agent.predict, None, None, None, deterministic=True):
-        whole: Any = function_agent(agent.predict)
-        if hasattr(agent, "between_trials"):
-            whole.between_trials = agent.between_trials
-        return cast(Predictor, whole)
-    return cast(Predictor, agent)
 
 
 class Agent(ABC, Generic[State]):

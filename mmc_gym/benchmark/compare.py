@@ -25,7 +25,8 @@ from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_table, to_html
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve, resolve_all
+from mmc_gym.agents.resolved import ResolvedAgent
+from mmc_gym.agents.resolver import Agents, resolve, resolve_all
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     RESAMPLES,

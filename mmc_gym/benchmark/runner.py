@@ -27,7 +27,8 @@ from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
-from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
+from mmc_gym.agents.resolved import ResolvedAgent
+from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,

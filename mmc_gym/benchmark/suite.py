@@ -14,7 +14,7 @@ import numpy as np
 from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
-from mmc_gym.agents.resolver import ResolvedAgent
+from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
 from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.scenarios import (

@@ -36,7 +36,8 @@ from mmc_gym._grid import run_grid
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import Parts
-from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
+from mmc_gym.agents.resolved import ResolvedAgent
+from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.experiments.experiment import Condition, Experiment, find_experiment

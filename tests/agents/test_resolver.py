@@ -10,7 +10,7 @@ import pytest
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolver
+from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolved
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN
 from mmc_gym.interface import CannotActError, ReachInterface
@@ -198,17 +198,18 @@ def test_agents_that_cannot_stand_beside_each_other_are_refused():
             resolve_all(agents)
 
 
-def test_changed_code_is_another_fingerprint(tmp_path, monkeypatch):
+CODE = ("agents/mmc.py", "network/model.py", "robots/arm.py", "interface.py", "geometry.py")
+
+
+@pytest.mark.parametrize("changed", [None, *CODE])
+def test_changed_code_is_another_fingerprint(changed, tmp_path, monkeypatch):
     unchanged = resolve("mmc").fingerprint
-    package = tmp_path / "mmc_gym"
-    source = resolver.files("mmc_gym")
-    for part in ("agents", "network"):
+    source, package = resolved.files("mmc_gym"), tmp_path / "mmc_gym"
+    for part in ("agents", "network", "robots"):
         shutil.copytree(source / part, package / part)
-    shutil.copy(source / "interface.py", package)
-    monkeypatch.setattr(resolver, "files", lambda name: package)
-    digests = [resolver.code_digest.__wrapped__()]
-    assert digests[0] == unchanged
-    for changed in ("agents/mmc.py", "network/model.py", "interface.py"):
+    for part in ("interface.py", "geometry.py"):
+        shutil.copy(source / part, package)
+    monkeypatch.setattr(resolved, "files", lambda name: package)
+    if changed:
         (package / changed).write_text((package / changed).read_text() + "# changed")
-        digests.append(resolver.code_digest.__wrapped__())
-    assert len(set(digests)) == len(digests)
+    assert (resolved.code_digest.__wrapped__() == unchanged) == (changed is None)

@@ -241,7 +241,7 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside, monkey
     assert [progress.key.agent for progress in seen[1:]] == [source]
     assert manifest.reused == 1
     assert manifest.changed == [source]  # what it did in the other environment is of before
-    monkeypatch.setattr("mmc_gym.agents.resolver.code_digest", lambda: "another mmc.py")
+    monkeypatch.setattr("mmc_gym.agents.resolved.code_digest", lambda: "another mmc.py")
     manifest = play([source, "mmc"], tmp_path / "out")
     assert (manifest.changed, manifest.reused) == ([], 1)  # one cell of the module
 

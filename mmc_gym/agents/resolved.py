@@ -1,0 +1,330 @@
+"""An agent that was resolved: what is known of it, and how it is made for an environment.
+
+`mmc_gym.agents.resolver` has the grammar of names, and makes these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import dataclass, fields
+from functools import cache, cached_property, partial
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+
+from mmc_gym._errors import UserError, is_whole, require
+from mmc_gym._files import import_object, look_here
+from mmc_gym.agents.base import Predictor, require_plain, warn_of_another_arm
+from mmc_gym.agents.registry import (
+    AGENTS,
+    IDEAL,
+    REFERENCE,
+    UNKNOWN,
+    AgentEntry,
+    Kind,
+    Knowledge,
+    learned_knowledge,
+)
+from mmc_gym.agents.sb3 import ModelAgent, SavedModel, as_agent
+from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface
+
+if TYPE_CHECKING:
+    from mmc_gym.agents.policy import PolicyCard
+
+Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedAgent:
+    """An agent, or one of its trainings.
+
+    Its files are read and its module is imported when they are first needed, again in each process
+    that it is sent to.
+    """
+
+    label: str  #: the agent's name in tables and data
+    #: the name from which `resolve` finds it again: "mmc", "ppo-3", "runs/ppo-1.json" or
+    #: "module:function"; empty for functions and objects
+    source: str
+    name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship
+    policy: Path | None = None  #: the path of its policy; None if it has none
+    #: its model of stable-baselines3, or the file of one; None if it has none
+    model: SavedModel | ModelAgent | None = None
+    given: Any = None  #: the function or object itself; None for a name or a model
+    #: the place of this training among several whose files do not tell their seeds
+    number: int | None = None
+
+    @cached_property
+    def factory(self) -> Factory:
+        """The function that makes the agent for an environment; a missing file raises an error."""
+        if self.policy is not None:
+            return partial(_make_policy, self.policy)
+        if self.name:
+            return _no_arm if self.entry is None else self.entry.make
+        return partial(_made, self._thing, self.label)
+
+    @cached_property
+    def _thing(self) -> Any:
+        """The model, function or object that was given, is loaded, or is imported by its name."""
+        if self.given is not None:
+            return self.given
+        if self.model is not None:
+            return self.model.load() if isinstance(self.model, SavedModel) else self.model
+        found = import_object(self.source, "agent")
+        fine = callable(found) or hasattr(found, "predict")
+        require(fine, f"agent {self.source!r}", found, "a function of the environment")
+        return as_agent(found)
+
+    @cached_property
+    def card(self) -> PolicyCard | None:
+        """The card of its policy; None if it has none.  A missing file raises an error."""
+        if self.policy is None:
+            return None
+        from mmc_gym.agents.policy import load_policy
+
+        return load_policy(self.policy)[1]
+
+    @property
+    def training_seed(self) -> int | None:
+        """The seed of its training, from its files or counted; None if untrained or unknown."""
+        if self.number is not None:
+            return self.number
+        if self.card is not None:
+            return self.card.seed
+        return None if self.model is None else self.model.training_seed
+
+    @property
+    def training_steps(self) -> int | None:
+        """Environment steps of its training; 0 without one, None if they are not known."""
+        if self.card is not None:
+            return self.card.training_steps
+        if self.model is not None:
+            return self.model.training_steps
+        steps = 0 if self.name else getattr(self._thing, "training_steps", None)
+        return int(steps) if is_whole(steps) else None
+
+    @property
+    def source_name(self) -> str:
+        """Its source; or for functions and objects a name that stands for it."""
+        return self.source or f"given:{self.label}"
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it is the ideal hand, which needs no arm."""
+        return self.name == REFERENCE
+
+    @property
+    def entry(self) -> AgentEntry | None:
+        """Its entry in `AGENTS`; None if it does not ship with the package."""
+        return AGENTS.get(self.name)
+
+    @property
+    def control(self) -> Control | None:
+        """The control mode in which it is compared; None for that of the environment."""
+        return self.own_control or (self.entry.control if self.entry else None)
+
+    @property
+    def own_control(self) -> Control | None:
+        """The only control mode that it acts by; None if it acts by several, or it is not known.
+
+        An object may have an attribute `control` that says so.
+        """
+        if self.name and self.card is None:
+            return None
+        known = getattr(self.card or self.model or self._thing, "control", None)
+        return known if isinstance(known, str) and known in CONTROLS else None
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """Its kind, what it is given, and what it senses; of a policy, as its card says."""
+        if self.card is not None:
+            kind: Kind = "learned" if self.name else "yours"
+            card, memory = self.card, sum(self.card.blocks)
+            return learned_knowledge(card.view, card.base_agent, kind, memory=memory)
+        if self.model is not None:
+            return learned_knowledge("arm", kind="yours")
+        if self.is_reference:
+            return IDEAL
+        return self.entry.knowledge if self.entry else UNKNOWN
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A digest (SHA-256) of what it is made of; another one is another agent.
+
+        A policy is made of its weights, and of the code if it corrects another agent; a model of
+        its weights and statistics; an agent without a policy of the code of all agents and of the
+        network; "module:function" of the module's file, and an object of its pickle.  A change of
+        what these import or read goes unnoticed.  Empty where nothing is known.
+        """
+        if self.card is not None:
+            if not self.card.base_agent:
+                return self.card.sha256
+            return hashlib.sha256((self.card.sha256 + code_digest()).encode()).hexdigest()
+        if self.model is not None:
+            return self.model.digest
+        if self.name:
+            return "" if self.is_reference else code_digest()
+        return _digest_of_module(self.source) if self.source else _digest_of_pickle(self.given)
+
+    def check(self) -> None:
+        """Import its module or read its files; raise what `factory` and `card` raise."""
+        _ = self.factory, self.card
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The fingerprint travels along: pickles of one object may differ between processes.
+        kept = {"fingerprint", *(field.name for field in fields(self))}
+        return {name: value for name, value in vars(self).items() if name in kept}
+
+
+def _no_arm(env: object) -> Predictor:
+    raise CannotActError(f"{REFERENCE!r} is a hand without an arm, which acts in no environment")
+
+
+def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
+    """Make the agent of a policy; warn of an arm that differs from the one on its card."""
+    from mmc_gym.agents.policy import PolicyAgent, load_policy
+
+    require_plain(env)
+    network, card = load_policy(path)
+    agent = PolicyAgent(network, card, ReachInterface.of(env))
+    warn_of_another_arm(card.file_stem, card.body, env)
+    return agent
+
+
+def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
+    """Make the agent of a function, a class or an object for an environment."""
+    is_agent = hasattr(given, "predict") and not isinstance(given, type)
+    return _acting(given, env) if is_agent else _made_by_call(given, label, env)
+
+
+def _acting(agent: Any, env: gym.Env[Any, Any]) -> Predictor:
+    return agent.acting_in(env) if isinstance(agent, ModelAgent) else with_whole_signature(agent)
+
+
+def _made_by_call(function: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
+    """Call a function or class with the environment; or else it is a function of observations."""
+    _check_takes_env(function, label)
+    agent, failure = None, None
+    try:
+        agent = as_agent(function(env))
+    except CannotActError:
+        raise
+    except Exception as error:  # it may be a function of observations
+        failure = error
+    if hasattr(agent, "predict"):
+        return _acting(agent, env)
+    if isinstance(function, type):
+        raise failure or UserError(f"agent {label!r} must be a class with predict, got {agent!r}")
+    if not (why := why_no_action(function, env)):
+        return function_agent(function)
+    seen = f"returned {agent!r}" if failure is None else raised(failure)
+    if failure is not None and why == seen:  # its own mistake, whatever it is called with
+        raise failure
+    raise UserError(
+        f"agent {label!r} must return an object with predict for an environment, or an action for "
+        f"an observation; for an observation it {why}; for the environment it {seen}"
+    ) from failure
+
+
+def _check_takes_env(given: Any, label: str) -> None:
+    """Raise a `UserError` for a function or class that cannot be called with an environment."""
+    is_agent = not isinstance(given, type) or hasattr(given, "predict")
+    require(is_agent, f"agent {label!r}", given, "a class with predict")
+    if error := refusal(given, None):
+        name = getattr(given, "__name__", "a function")
+        accepted = f"{name}(env), called with the environment alone"
+        raise UserError(f"agent {label!r} must be {accepted}, got {given}: {error}") from error
+
+
+def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
+    """Return why a function does not take arguments; None if it does, or nobody knows."""
+    with suppress(ValueError):  # Python does not know its signature
+        try:
+            inspect.signature(function).bind(*arguments, **more)
+        except TypeError as error:
+            return error
+    return None
+
+
+def why_no_action(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> str:
+    """Return what a function does with an observation but give an action; "" if it gives one."""
+    space = deepcopy(env.observation_space)
+    space.seed(0)
+    try:
+        action = np.asarray(function(space.sample()))
+    except Exception as error:  # whatever the user's code raises
+        return raised(error)
+    shape = env.action_space.shape
+    if action.shape == shape and action.dtype.kind in "fiub":
+        return ""
+    return f"returned {action.dtype} of shape {action.shape}, an action has {shape}"
+
+
+def raised(error: Exception) -> str:
+    """Return what a user's function raised, and where: after the frame that called it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    frame = frames[min(1, len(frames) - 1)]
+    return f"raised {type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"
+
+
+def function_agent(function: Callable[[Any], Any]) -> Predictor:
+    """Return the agent of a function of observations that returns an action, or it and a state."""
+
+    def predict(
+        observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        given = function(observation)
+        return given if isinstance(given, tuple) and len(given) == 2 else (given, None)
+
+    return SimpleNamespace(predict=predict)
+
+
+def with_whole_signature(agent: Any) -> Predictor:
+    """Return the agent; or one that calls its `predict` with the observation alone."""
+    if refusal(agent.predict, None, None, None, deterministic=True):
+        whole: Any = function_agent(agent.predict)
+        if hasattr(agent, "between_trials"):
+            whole.between_trials = agent.between_trials
+        return cast(Predictor, whole)
+    return cast(Predictor, agent)
+
+
+def _digest_of_module(source: str) -> str:
+    look_here()
+    try:
+        spec = find_spec(source.partition(":")[0])
+    except (ImportError, ValueError):  # no such package, or __main__, which has no spec
+        spec = None
+    file = Path(spec.origin) if spec is not None and spec.origin else Path()
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+
+
+def _digest_of_pickle(thing: Any) -> str:
+    try:
+        return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()
+    except Exception:  # it cannot be pickled; a worker raises the same error
+        return ""
+
+
+@cache
+def code_digest() -> str:
+    """Return the SHA-256 of the code and weights of all agents that have no policy."""
+    package = Path(str(files("mmc_gym")))
+    rooms = ("agents/**/*.py", "network/**/*.py", "robots/**/*.py", "*/weights/*")
+    patterns = ("interface.py", "geometry.py", *rooms)
+    digest = hashlib.sha256()
+    for part in sorted(part for pattern in patterns for part in package.glob(pattern)):
+        digest.update(part.relative_to(package).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(part.read_bytes()).digest())
+    return digest.hexdigest()
