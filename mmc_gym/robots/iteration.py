@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mmc_gym._compiling import compiled, inner
+from mmc_gym._compiling import compiled, inner, sine_cosine
 from mmc_gym.robots.blocks import LANES
 
 _HELD = 1e12  # damping of a joint that rests
@@ -72,7 +72,7 @@ def _place(block, arm):
         ux, uy, uz = arm.axes[i, 0], arm.axes[i, 1], arm.axes[i, 2]
         px, py, pz = arm.points[i, 0], arm.points[i, 1], arm.points[i, 2]
         for k in range(LANES):
-            block.sine[k], block.cosine[k] = _sine_and_cosine(block.angle[i, k])
+            block.sine[k], block.cosine[k] = sine_cosine(block.angle[i, k])
         for a in range(3):
             for k in range(LANES):
                 # A row r of the turn becomes r + sin q r×u + (1 − cos q) (u u·r − r).
@@ -88,23 +88,6 @@ def _place(block, arm):
                 block.turn[a, 1, k] = y + dy
                 block.turn[a, 2, k] = z + dz
     _place_node(block, arm.nodes, arm.nodes.shape[0] - 1)
-
-
-@inner
-def _sine_and_cosine(angle):
-    """Return both by their series, to 1e-13, after a reduction to a quarter turn."""
-    quarter = np.floor(angle * (2 / np.pi) + 0.5)
-    x = angle - quarter * (np.pi / 2)
-    y = x * x
-    s = 1 / 120 + y * (-1 / 5040 + y * (1 / 362880 + y * (-1 / 39916800 + y / 6227020800)))
-    s = x + x * y * (-1 / 6 + y * s)
-    c = 1 / 40320 + y * (-1 / 3628800 + y * (1 / 479001600 - y / 87178291200))
-    c = 1 + y * (-0.5 + y * (1 / 24 + y * (-1 / 720 + y * c)))
-    quarter = quarter - 4 * np.floor(quarter * 0.25)  # 0, 1, 2 or 3
-    half = np.floor(quarter * 0.5)
-    is_odd = quarter - 2 * half
-    sign = 1 - 2 * half
-    return sign * (is_odd * c + (1 - is_odd) * s), sign * ((1 - is_odd) * c - is_odd * s)
 
 
 @inner

@@ -34,50 +34,18 @@ records of arrays: their fields do not overlap, and their shapes are part of the
 loops over few segments are unrolled, and numba compiles anew for each number of segments.  The
 number of lanes is an argument, because constant loops would be unrolled first.
 
-All functions that numba compiles together are in this file, see `mmc_gym._compiling`.
+Functions that numba compiles together are in this file, see `mmc_gym._compiling`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym._compiling import compiled, inner
+from mmc_gym._compiling import compiled, inner, sine_cosine
 
 # What binds a joint: nothing, a bound of its servo, or its stop while the servo is at a bound.
 FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0, 2.0
 _TINY = 1e-12  # rad/s: less is not worth another guess
-
-
-@inner
-def _sine_cosine(angle):
-    """Return sine and cosine to an ulp or so, in arithmetic alone: the same in every lane.
-
-    The polynomials and the three parts of π/2 are those of fdlibm (Sun Microsystems, 1993), good
-    for angles up to 1e6.
-    """
-    quarter = np.floor(angle * 0.6366197723675814 + 0.5)
-    x = angle - quarter * 1.57079632673412561417
-    x = (x - quarter * 6.07710050630396597660e-11) - quarter * 2.02226624879595063154e-21
-    z = x * x
-    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    s = 2.75573137070700676789e-06 + z * s
-    s = -1.98412698298579493134e-04 + z * s
-    s = 8.33333333332248946124e-03 + z * s
-    s = -1.66666666666666324348e-01 + z * s
-    s = x + x * z * s
-    c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-    c = -2.75573143513906633035e-07 + z * c
-    c = 2.48015872894767294178e-05 + z * c
-    c = -1.38888888888741095749e-03 + z * c
-    c = 4.16666666666666019037e-02 + z * c
-    c = (1.0 - 0.5 * z) + z * z * c
-    quarter -= 4.0 * np.floor(0.25 * quarter)
-    odd = quarter - 2.0 * np.floor(0.5 * quarter) > 0.5
-    sine = c if odd else s
-    cosine = s if odd else c
-    sine = -sine if quarter > 1.5 else sine
-    cosine = -cosine if abs(quarter - 1.5) < 1.0 else cosine
-    return sine, cosine
 
 
 @inner
@@ -183,7 +151,7 @@ def _look(arms, work, lanes):
     work.bound[:] = FREE
     for k in range(lanes):
         for i in range(arms.angle.shape[0]):
-            work.sine[i, k], work.cosine[i, k] = _sine_cosine(arms.angle[i, k])
+            work.sine[i, k], work.cosine[i, k] = sine_cosine(arms.angle[i, k])
 
 
 @inner
@@ -200,7 +168,7 @@ def _move(arms, work, chain, lanes):
             speed, sine, cosine = arms.speed[i, k], work.sine[i, k], work.cosine[i, k]
             lag_x, lag_y = arms.lag_x[i, k], arms.lag_y[i, k]
             angle = arms.angle[i, k] + h * speed
-            new_sine, new_cosine = _sine_cosine(angle)
+            new_sine, new_cosine = sine_cosine(angle)
             new_lag_x = (new_cosine - cosine) * rate + speed * sine
             new_lag_y = (new_sine - sine) * rate - speed * cosine
             work.free_x[i, k] = lag_x - new_lag_x - sine * speed
@@ -373,7 +341,7 @@ def _show(arms, work, chain, shown):
             arm.segment_angles[i] = arms.angle[i, k]
             arm.joint_angles[i] = angle
             arm.joint_velocities[i] = _between(arms.speed, i, k)
-            arm.joint_sines[i], arm.joint_cosines[i] = _sine_cosine(angle)
+            arm.joint_sines[i], arm.joint_cosines[i] = sine_cosine(angle)
             x += chain.length[i] * work.cosine[i, k]
             y += chain.length[i] * work.sine[i, k]
         arm.end_effector[0] = x
