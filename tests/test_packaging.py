@@ -16,7 +16,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 
 HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "pymunk", "rich", "scipy", "torch"}
-HEAVY |= {"stable_baselines3"}
+HEAVY |= {"stable_baselines3", "yaml"}
 
 
 def run_python(code):

@@ -20,7 +20,6 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, require, require_whole, shown
-from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.names import (
     BASELINE,
     TASKS,
@@ -252,6 +251,8 @@ class OwnEnvironment:
     def _made(self, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
         make: Any = self.env
         if isinstance(make, str):
+            from mmc_gym._files import import_object, look_here  # `import mmc_gym` loads no yaml
+
             look_here()
             try:
                 return _gymnasium(gym.make, make, make, arguments)
