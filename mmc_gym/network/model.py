@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, reduce
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -210,18 +211,15 @@ class MMCNetwork:
         value = self.velocity_decay
         require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
         require_choice("engine", self.engine, get_args(NetworkEngine))
-        if self.engine == "numba":
-            engine = "for the engine 'numba'"
-            fine = type(self.normalizer) is EuclideanNormalizer
-            require(fine, "normalizer", self.normalizer, f"Euclidean {engine}")
-            fine = self.schedule == "synchronous"
-            require(fine, "schedule", self.schedule, f"'synchronous' {engine}")
         require(self.dimensions in (2, 3), "dimensions", self.dimensions, "2 or 3")
         if self.dimensions == 3:
             fine = not isinstance(self.normalizer, LearnedNormalizer)
             require(fine, "normalizer", self.normalizer, "Euclidean for 3 dimensions")
-            require(self.engine == "numpy", "engine", self.engine, "'numpy' for 3 dimensions")
         if self.engine == "numba":
+            is_euclidean = type(self.normalizer) is EuclideanNormalizer
+            fine = is_euclidean and self.schedule == "synchronous" and self.dimensions == 2
+            accepted = "'numpy', unless the network is Euclidean, synchronous and in the plane"
+            require(fine, "engine", self.engine, accepted)
             import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
 
     @property
@@ -386,30 +384,29 @@ class MMCNetwork:
         target = clamped[rows.index(hand)]
         if target.tobytes() == values[hand].tobytes():
             return values
-        (x, y, *z), lengths = values[0], self.segment_lengths
+        lengths, first = self.segment_lengths, values[0]
         least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
-
-        def are_in_line(vectors: Floats) -> NDArray[np.bool_]:
-            across = np.abs(x * vectors[:, 1] - y * vectors[:, 0])
-            if z:
-                across = np.hypot(across, x * vectors[:, 2] - z[0] * vectors[:, 0])
-                across = np.hypot(across, y * vectors[:, 2] - z[0] * vectors[:, 1])
-            in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
-            return in_line
-
-        is_straight = are_in_line(values[1:count])
+        is_straight = _are_in_line(first, values[1:count], least)
         if not is_straight.any():
             return values
         target = nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
         is_away = reduce(np.hypot, np.moveaxis(way, -1, 0)) > 1e-3 * sum(lengths)
-        is_stuck = is_straight & are_in_line(clamped) & is_away
+        is_stuck = is_straight & _are_in_line(first, clamped, least) & is_away
         posture = MMCState(values, count)
-        if z:
+        if self.dimensions == 3:
             bent = self.state_from_segments(chain.bent(posture.segments))
         else:
             bent = self.state_from_joint_angles(posture.joint_angles + chain.BEND)
         return np.where(is_stuck, bent.values, values)
+
+
+def _are_in_line(first: Floats, others: Floats, least: float) -> NDArray[np.bool_]:
+    """Return whether vectors (n, axes, ...) are in one line with the first (axes, ...)."""
+    pairs = combinations(range(len(first)), 2)
+    across = [np.abs(first[a] * others[:, b] - first[b] * others[:, a]) for a, b in pairs]
+    in_line: NDArray[np.bool_] = (reduce(np.hypot, across) <= least).all(axis=0)
+    return in_line
 
 
 def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:

@@ -235,22 +235,25 @@ def test_no_other_arm_is_bent():
     np.testing.assert_array_equal(is_bent, [True, False, False, False, False])
 
 
-def test_impossible_networks_are_refused():
-    for settings, message in (
-        ({"segment_lengths": (1.0,)}, "segment_lengths must be two or more positive and finite"),
-        ({"damping": 2.0}, r"damping must be .* more than \(N \+ 1\) / 2 = 2, .* got 2.0"),
-        ({"normalizer": "paper"}, "normalizer must be a Normalizer, .*, got 'paper'"),
-        ({"normalizer": LEARNED, "engine": "numba"}, "normalizer must be Euclidean for the engine"),
-        ({"schedule": "delayed", "engine": "numba"}, "schedule must be 'synchronous' for the"),
-        ({"velocity_damping": None}, "velocity_damping must be finite, at least 0, got None"),
-        ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
-        ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
-        ({"dampening": 4}, "takes no argument 'dampening'; did you mean 'damping'"),
-        ({"dynamics": "dynamic"}, "'dynamic' is not accepted; did you mean 'paper'.* or reference"),
-        ({"engine": "jax"}, "engine 'jax' is not accepted. It may be numpy or numba"),
-    ):
-        with pytest.raises(UserError, match=message):
-            MMCNetwork(**settings)
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"segment_lengths": (1.0,)}, "segment_lengths .* two or more"),
+        ({"damping": 2.0}, r"damping .* \(N \+ 1\) / 2 = 2"),
+        ({"normalizer": "paper"}, "normalizer .* 'paper'"),
+        ({"normalizer": LEARNED, "engine": "numba"}, "engine .* Euclidean"),
+        ({"schedule": "delayed", "engine": "numba"}, "engine .* synchronous"),
+        ({"velocity_damping": None}, "velocity_damping .* None"),
+        ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping .* 0.5"),
+        ({"velocity_decay": 1.1}, "velocity_decay .* 1.1"),
+        ({"dampening": 4}, "did you mean 'damping'"),
+        ({"dynamics": "dynamic"}, "did you mean 'paper'"),
+        ({"engine": "jax"}, "engine 'jax'"),
+    ],
+)
+def test_an_impossible_network_is_refused(settings, named):
+    with pytest.raises(UserError, match=named):
+        MMCNetwork(**settings)
 
 
 LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
@@ -261,31 +264,25 @@ def at_rest(network):
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("call", "named"),
     [
-        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"target must be of shape \(\.+, 2\), got \(3,\)"),
-        (lambda n: n.inverse([np.nan, 1.0]), "target must be finite, got"),
-        (lambda n: n.inverse([1.0, None]), r"target must be an array of numbers, got \[1.0, None"),
-        (lambda n: n.trajectory(at_rest(n), n.inverse([1, 1]), -1), "iterations must be .* got -1"),
+        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"target .* \(3,\)"),
+        (lambda n: n.inverse([np.nan, 1.0]), "target .* finite"),
+        (lambda n: n.inverse([1.0, None]), "target .* numbers"),
+        (lambda n: n.trajectory(at_rest(n), n.inverse([1, 1]), -1), "iterations .* -1"),
         (lambda n: n.clamp({(3, 0): [1, 1]}), r"clamp \(3, 0\) .* '\(0, 3\) with the opposite"),
-        (lambda n: n.clamp([(0, 3)]), "vectors must be a mapping from pairs of nodes"),
+        (lambda n: n.clamp([(0, 3)]), "vectors .* pairs of nodes"),
         (lambda n: n.clamp({(0, 1): np.ones((2, 2)), (0, 3): np.ones((3, 2))}), "batch axes"),
-        (lambda n: n.step([0.3, 0.6, 0.6]), r"state must be an MMCState, .*, got \[0.3, 0.6"),
-        (lambda n: n.run(LONGER.state_from_joint_angles([0.0] * 4)), "state must be of 3 segments"),
-        (lambda n: DELAYED.run(at_rest(n)), "state must come from a network of .*, got 6 rows"),
-        (lambda n: n.run(at_rest(n), [1.0, 1.0]), r"clamps must be Clamps, .* got \[1.0, 1.0\]"),
-        (
-            lambda n: DELAYED.run(at_rest(DELAYED), n.clamp({(0, 1): [1.0, 0.0]})),
-            "clamps must come from a network of schedule 'delayed'",
-        ),
-        (
-            lambda n: moved(n, random_segments((2, 3)), np.ones((3, 2)), 1),
-            r"clamps must have batch axes that go with the state's, \(2,\), got \(3,\)",
-        ),
+        (lambda n: n.step([0.3, 0.6, 0.6]), "state .* MMCState"),
+        (lambda n: n.run(LONGER.state_from_joint_angles([0.0] * 4)), "state .* 3 segments"),
+        (lambda n: DELAYED.run(at_rest(n)), "state .* 6 rows"),
+        (lambda n: n.run(at_rest(n), [1.0, 1.0]), "clamps .* Clamps"),
+        (lambda n: DELAYED.run(at_rest(DELAYED), n.clamp({(0, 1): [1, 0]})), "clamps .* 'delayed'"),
+        (lambda n: moved(n, random_segments((2, 3)), np.ones((3, 2)), 1), "clamps .* batch axes"),
     ],
 )
-def test_impossible_calls_are_refused(call, message):
-    with pytest.raises(UserError, match=message):
+def test_an_impossible_call_is_refused(call, named):
+    with pytest.raises(UserError, match=named):
         call(MMCNetwork())
 
 
@@ -341,18 +338,23 @@ def test_forward_and_mixed_tasks_in_space():
     np.testing.assert_allclose([end.end_effector, end.segments[0]], [*vectors.values()], atol=1e-3)
 
 
-def test_what_needs_a_plane_refuses_space():
-    space, plane = MMCNetwork(dimensions=3), MMCNetwork()
-    for call in (
+SPACE, IN_SPACE = MMCNetwork(dimensions=3), MMCNetwork(dimensions=3).state_from_segments(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
         lambda: MMCNetwork(dimensions=4),
-        lambda: MMCNetwork(dimensions=3, normalizer=LearnedNormalizer.shipped()),
+        lambda: MMCNetwork(dimensions=3, normalizer=LEARNED),
         lambda: MMCNetwork(dimensions=3, engine="numba"),
-        lambda: space.state_from_joint_angles([0, 0, 0]),
-        lambda: space.state_from_segments(np.eye(3)).joint_angles,
-        lambda: space.inverse([1.0, 1.0]),
-        lambda: plane.run(space.state_from_segments(np.eye(3))),
-        lambda: TorchNetwork(space),
-        lambda: timed_step(space, space.state_from_segments(np.eye(3)), [1, 1, 1], 0.1),
-    ):
-        with pytest.raises(ValueError, match="must be"):
-            call()
+        lambda: SPACE.state_from_joint_angles([0, 0, 0]),
+        lambda: IN_SPACE.joint_angles,
+        lambda: SPACE.inverse([1.0, 1.0]),
+        lambda: MMCNetwork().run(IN_SPACE),
+        lambda: TorchNetwork(SPACE),
+        lambda: timed_step(SPACE, IN_SPACE, [1, 1, 1], 0.1),
+    ],
+)
+def test_what_needs_a_plane_refuses_space(call):
+    with pytest.raises(UserError, match="must be"):
+        call()
