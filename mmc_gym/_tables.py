@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -65,6 +66,13 @@ def text_table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ()) -> T
         headings=tuple(Heading(label, is_text=True) for label in headings),
         rows=tuple(Row(name, tuple(map(Cell, texts))) for name, *texts in rows),
     )
+
+
+def facts_table(thing: object, facts: Mapping[str, str]) -> str:
+    """Return HTML with an object's class, its docstring's first line, and a row for each fact."""
+    first = (inspect.getdoc(type(thing)) or "").partition("\n")[0]
+    table = to_html(text_table(facts.items()))
+    return f"<p><b>{type(thing).__name__}</b>: {escape(first)}</p>{table}"
 
 
 def to_html(table: Table) -> str:
@@ -199,7 +207,7 @@ def _columns(table: Table) -> tuple[list[_Column], list[_Column]]:
 def _side_by_side(
     width: int, texts: Sequence[_Column], numbers: Sequence[_Column]
 ) -> Iterator[list[_Column]]:
-    """Group the columns of numbers that fit beside those of text, at least one in each group."""
+    """Group the columns of numbers that fit next to those of text, at least one in each group."""
     taken = sum(column.width + _GAP for column in texts) - _GAP
     group: list[_Column] = []
     used = taken

@@ -38,7 +38,7 @@ from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
 from studies.body_model.playing import body_model, play
 from studies.drawing import STYLE, save_figure
 from studies.laws import LAWS
-from studies.tables import table_of
+from studies.tables import markdown_table, table_of
 
 MOVEMENTS = {  # measures, and the scenarios that they are taken in
     "centre-out": ("peak_to_mean", "time_to_peak"),
@@ -193,16 +193,11 @@ def main(
     frame = pd.DataFrame(rows)
     frame.to_csv(out / "people.csv", index=False)
     lines = table(frame)
-    (out / "people.md").write_text(markdown(lines), encoding="utf-8")
+    text = markdown_table(lines[0], (line.values() for line in lines)) + "\n"
+    (out / "people.md").write_text(text, encoding="utf-8")
     save_figure(draw(frame), out / "people")
     plain = [{key: escape(value) for key, value in line.items()} for line in lines]
     Console(width=200).print(table_of(plain, "agents beside people"))
-
-
-def markdown(lines: Sequence[Mapping[str, str]]) -> str:
-    """Return the table in Markdown."""
-    rows = [list(lines[0]), ["---"] * len(lines[0]), *(list(line.values()) for line in lines)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Tables on the terminal."""
+"""Tables on the terminal and in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from rich.table import Table
 
@@ -15,3 +15,11 @@ def table_of(rows: Sequence[Mapping[str, str]], title: str | None = None) -> Tab
     for row in rows:
         table.add_row(*row.values())
     return table
+
+
+def markdown_table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a table in Markdown; a line break within a cell becomes a space."""
+    heads = list(headings)
+    texts = [[text.replace("|", "\\|").replace("\n", " ") for text in row] for row in rows]
+    lines = [heads, ["---"] * len(heads), *texts]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, require
-from mmc_gym._notebook import facts_table
+from mmc_gym._tables import facts_table
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import (
     CannotActError,

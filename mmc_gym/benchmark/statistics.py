@@ -338,7 +338,8 @@ def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Flo
         return np.full(counts.shape[1], np.nan)
     ends = np.cumsum(counts[order], axis=0, dtype=counts.dtype)
     whole = ends[-1]
-    lower, upper = ((ends < half).sum(axis=0) for half in ((whole + 1) // 2, (whole + 2) // 2))
+    halves = (whole + 1) // 2, (whole + 2) // 2
+    lower, upper = ((ends < half).sum(axis=0, dtype=counts.dtype) for half in halves)
     places = np.minimum([lower, upper], len(order) - 1)  # without any weight they are beyond it
     return np.where(whole > 0, values[order[places]].sum(axis=0) / 2, np.nan)
 

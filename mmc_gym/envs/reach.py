@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -222,12 +223,15 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return self._renderer.draw(self._scene())
 
     def _repr_png_(self) -> bytes:
-        """Return the picture that a notebook shows, whatever the render mode."""
-        from mmc_gym._notebook import png
+        """Return the picture that a notebook shows, half as large, whatever the render mode."""
+        from PIL import Image
+
         from mmc_gym.envs.render import Renderer
 
         picture: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
-        return png(picture, shrink=2)
+        file = io.BytesIO()
+        Image.fromarray(picture).reduce(2).save(file, format="PNG")
+        return file.getvalue()
 
     def _scene(self) -> Scene:
         from mmc_gym.envs.render import Scene

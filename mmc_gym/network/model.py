@@ -43,7 +43,7 @@ from mmc_gym._errors import (
     spelt,
     unknown,
 )
-from mmc_gym._notebook import facts_table
+from mmc_gym._tables import facts_table
 from mmc_gym.geometry import (
     Floats,
     joint_angles_from_segments,

@@ -34,6 +34,7 @@ from studies.paper.experiments import (
     population,
 )
 from studies.paper.published import POINTS
+from studies.tables import markdown_table
 
 TITLE = "The paper's experiments, published and measured"
 PAPER = (
@@ -168,11 +169,6 @@ def to_markdown(results: Mapping[Name, Result], quick: bool) -> str:
     """Return the report as Markdown; figures are linked as `experiment/figure.png`."""
     blocks = [f"# {TITLE}", PAPER, *([f"**{QUICK}**"] if quick else []), LEGEND]
     for part in _parts(results):
-        lines = [[*part.columns], ["---" for _ in part.columns]]
-        lines += [
-            [cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in part.rows
-        ]
-        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        blocks += [f"## {part.heading}", table]
+        blocks += [f"## {part.heading}", markdown_table(part.columns, part.rows)]
         blocks += [f"![{text}]({file})\n\n*{text}*" for file, text in part.captions.items()]
     return "\n\n".join(blocks) + "\n"
