@@ -9,20 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmc_gym.agents.body_model import obstacles
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
-from mmc_gym.agents.body_model.imagination import within_reach
-from mmc_gym.agents.body_model.obstacles import (
-    MOST_DISCS,
-    NOWHERE,
-    RADIUS,
-    TOUCHES,
-    TOUCHES_AFTER_BLOW,
-    Contacts,
-    leg_costs,
-)
+from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
 from mmc_gym.envs.perturbations import VisuomotorRotation
@@ -57,19 +49,19 @@ def identified(lengths, angle, shift, looks, noise=0.0):
     return evidence.best
 
 
-@pytest.mark.parametrize(
-    ("lengths", "angle", "shift", "looks"),
-    [
-        ((1.0, 1.0, 1.0), 0.0, 0.0, 1),
-        ((1.0, 1.0, 1.0), 0.5, 0.0, 2),
-        ((1.0, 1.0, 1.5), 0.0, 0.0, 3),
-        ((1.2, 0.8, 1.3), 0.0, 0.0, 15),
-        ((1.0, 1.0, 1.4), -0.7, 0.0, 15),
-        ((1.0, 1.0, 1.0), 0.6, 0.4 - 0.8j, 10),
-    ],
-    ids=["as given", "turned", "longer", "all lengths", "turned and longer", "another centre"],
-)
-def test_the_body_is_identified_from_hand_and_posture(lengths, angle, shift, looks):
+BODIES = {
+    "as given": ((1.0, 1.0, 1.0), 0.0, 0.0, 1),
+    "turned": ((1.0, 1.0, 1.0), 0.5, 0.0, 2),
+    "longer": ((1.0, 1.0, 1.5), 0.0, 0.0, 3),
+    "all lengths": ((1.2, 0.8, 1.3), 0.0, 0.0, 15),
+    "turned and longer": ((1.0, 1.0, 1.4), -0.7, 0.0, 15),
+    "another centre": ((1.0, 1.0, 1.0), 0.6, 0.4 - 0.8j, 10),
+}
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_the_body_is_identified_from_hand_and_posture(body):
+    lengths, angle, shift, looks = BODIES[body]
     body = identified(lengths, angle, shift, looks)
     is_right = np.abs(body.lengths - lengths).max(axis=-1) < 0.02
     is_right &= np.abs(body.turn - np.exp(1j * angle)) < 0.02
@@ -131,24 +123,28 @@ def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
     assert delay.late == late
 
 
-def locks_after(turns, asked, lockable=()):
-    """Postures and locks of an arm, after each of some turns in place of those asked of it."""
-    posture = PostureTrack.start(*np.zeros((2, 1, 3)))
+def last_step(before, after, commanded):
+    yes = np.array([True])
+    return LastStep(before, after, np.array([commanded]), is_felt=yes, is_clear=yes)
+
+
+def locks_after(turns, commanded, lockable=()):
+    """Which joints are taken as locked after each of some turns, (turns, 3)."""
+    posture, locked = PostureTrack.start(*np.zeros((2, 1, 3))), []
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
         before, posture = posture, posture.filter(posture.joint_angles + turn, turn / STEP, STEP)
-        step = LastStep(before, posture, np.array([asked]), np.array([True]), np.array([True]))
-        locks = locks.identify(step, lockable)
-        yield locks.is_locked[0].tolist()
+        locks = locks.identify(last_step(before, posture, commanded), lockable)
+        locked.append(locks.is_locked[0])
+    return np.array(locked)
 
 
-def test_a_lock_is_found_sooner_if_it_is_given_and_a_false_one_freed():
+def test_a_lock_is_identified_sooner_if_it_is_given_and_a_false_one_freed():
     held, free = np.array([[0.0, 0.1, 0.0]]), np.full((1, 3), 0.1)
-    locked = list(locks_after([held] * 8 + [free] * 3, asked=(0.1, 0.1, 0.0)))
-    assert locked[7] == [True, False, False]
-    assert locked[-1] == [False, False, False]
-    held, asked = [np.array([[0.1, 0.0, 0.0]])] * 20, (0.05, 0.05, 0.05)
-    given, identified = (np.array(list(locks_after(held, asked, one))) for one in ((1,), ()))
+    locked = locks_after([held] * 8 + [free] * 3, commanded=(0.1, 0.1, 0.0))
+    assert locked[7].tolist() == [True, False, False] and not locked[-1].any()
+    held, commanded = [np.array([[0.1, 0.0, 0.0]])] * 20, (0.05, 0.05, 0.05)
+    given, identified = (locks_after(held, commanded, lockable) for lockable in ((1,), ()))
     assert 20 > given[:, 1].sum() > identified[:, 1].sum() > 0
 
 
@@ -156,49 +152,49 @@ HELD = np.array([[0.05, 0.0, -0.25]])
 """Turn about the middle of the last of three segments: 2.5 · 0.05 − 0.5 · 0.25 = 0."""
 
 
-def touched(contacts, joint_angles, turn, before=None):
-    """The memory after an arm of three unit segments makes a turn in place of the one asked."""
-    start = PostureTrack.start(joint_angles, turn / STEP)
-    postures = start._replace(turn=turn if before is None else before), start._replace(turn=turn)
-    commanded, yes = np.array([[0.1, 0.0, 0.0]]), np.array([True])
-    return contacts.locate(LastStep(*postures, commanded, yes, yes), np.ones((1, 3)), yes)
+def touched(contacts, turn=HELD, before=None, joint_angles=(0.0, 0.0, 0.0)):
+    """The memory after an arm of three unit segments makes a turn instead of the commanded one."""
+    start = PostureTrack.start(np.array([joint_angles]), turn / STEP)
+    before = start._replace(turn=turn if before is None else before)
+    step = last_step(before, start._replace(turn=turn), (0.1, 0.0, 0.0))
+    return contacts.locate(step, np.ones((1, 3)), np.array([True]))
 
 
-@pytest.mark.parametrize(("speed", "steps"), [(0.1, TOUCHES_AFTER_BLOW), (0.0, TOUCHES)])
-def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
-    """The arm is held up from above, and feels it sooner if it struck what holds it."""
-    contacts = touched(Contacts.start(1, 3), np.zeros((1, 3)), HELD, np.eye(3)[:1] * speed)
+@pytest.mark.parametrize(
+    ("speed", "steps"), [(0.1, obstacles.TOUCHES_AFTER_BLOW), (0.0, obstacles.TOUCHES)]
+)
+def test_a_contact_is_felt_where_the_arm_is_stopped_and_sooner_after_a_blow(speed, steps):
+    contacts = touched(Contacts.start(1, 3), before=np.eye(3)[:1] * speed)
     for _ in range(1, steps):
         assert not contacts.is_new.any()
-        contacts = touched(contacts, np.zeros((1, 3)), HELD)
+        contacts = touched(contacts)
     assert contacts.is_new.all()
     assert abs(contacts.discs[0, 0] - (2.5 + 1j * RADIUS)) < 0.05
 
 
 def test_many_contacts_with_one_obstacle_leave_room_for_others():
     contacts = Contacts.start(1, 3)
-    for bearing in [0.0] * MOST_DISCS + [2.0]:
-        is_felt = False
-        while not is_felt:
-            contacts = touched(contacts, np.array([[bearing, 0.0, 0.0]]), HELD)
-            is_felt = contacts.is_new.all()
-    obstacles = (2.5 + 1j * RADIUS) * np.exp(1j * np.array([0.0, 2.0]))
-    np.testing.assert_allclose(contacts.discs[0, :2], obstacles, atol=0.05)
+    for bearing in [0.0] * obstacles.MOST_DISCS + [2.0]:
+        contacts = touched(contacts, joint_angles=(bearing, 0.0, 0.0))
+        while not contacts.is_new.all():
+            contacts = touched(contacts, joint_angles=(bearing, 0.0, 0.0))
+    expected = (2.5 + 1j * RADIUS) * np.exp(1j * np.array([0.0, 2.0]))
+    np.testing.assert_allclose(contacts.discs[0, :2], expected, atol=0.05)
     assert (contacts.discs[0, 2:] == NOWHERE).all()
 
 
 def test_a_load_that_gathers_speed_is_no_contact():
-    contacts, joint_angles = Contacts.start(1, 3), np.zeros((1, 3))
+    contacts, joint_angles = Contacts.start(1, 3), np.zeros(3)
     for before, turn in pairwise(np.linspace(np.zeros((1, 3)), [[0.1, 0.0, 0.0]], 50)):
-        joint_angles = joint_angles + turn
-        contacts = touched(contacts, joint_angles, turn, before)
+        joint_angles = joint_angles + turn[0]
+        contacts = touched(contacts, turn, before, joint_angles)
         assert not contacts.is_new.any()
 
 
 def test_a_movement_through_a_disc_is_not_free_and_one_round_it_is():
     starts = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 2.0]])
     ends = starts + np.array([[1.5, 0.0, 0.0], [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]])
-    costs = leg_costs(INTERFACE, starts, ends, np.ones(3), np.array([2.0 + 1.5j]))
+    costs = obstacles.leg_costs(INTERFACE, starts, ends, np.ones(3), np.array([2.0 + 1.5j]))
     assert np.isfinite(costs).tolist() == [False, True, True]
 
 
@@ -246,16 +242,16 @@ def success(played):
 
 
 @pytest.mark.parametrize(
-    ("build", "parts", "perturbation", "least"),
+    ("build", "parts", "perturbation"),
     [
-        (ik_body, Parts(imagines=False, drives=False), "longer-20", 1.0),
-        (ik_body, ALL_PARTS, "obstacles-2", 0.8),
-        (ik_body, ALL_PARTS, "delay-200", 0.9),
-        (mmc_body, Parts(vigour=0.0), "locked-2", 0.9),
+        (ik_body, Parts(imagines=False, drives=False), "longer-20"),
+        (ik_body, ALL_PARTS, "obstacles-2"),
+        (ik_body, ALL_PARTS, "delay-200"),
+        (mmc_body, Parts(vigour=0.0), "locked-2"),
     ],
 )
-def test_most_arms_reach_their_target(build, parts, perturbation, least):
-    assert success(episodes(build, 10, parts, perturbations=perturbation)) >= least
+def test_most_arms_reach_their_target(build, parts, perturbation):
+    assert success(episodes(build, 10, parts, perturbations=perturbation)) >= 0.8
 
 
 @cache
@@ -332,18 +328,3 @@ def test_without_vigour_the_hand_moves_as_people_do(perturbations, single_peaks)
     assert success(played) >= 0.99
     assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
     assert np.mean([velocity_peaks(one) == 1 for one in played]) >= single_peaks
-
-
-def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
-    random = np.random.default_rng(0)
-    angles, speeds = random.uniform(-2, 2, (2, 40, 3))
-    noisy = random.normal(0, 0.05, (40, 3))
-    after = angles + 0.01 * (speeds + speeds[::-1])
-    start = PostureTrack.start(angles, speeds)
-    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], 0.02)
-    alone = PostureTrack.start(angles[:1], speeds[:1]).filter(after[:1], speeds[-1:], 0.02)
-    np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
-    aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
-    is_within = np.abs(aims) < 2.9
-    assert not is_within.all()
-    np.testing.assert_array_equal(within_reach(aims, lengths)[is_within], aims[is_within])

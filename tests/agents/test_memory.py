@@ -110,19 +110,18 @@ def test_by_default_nothing_is_kept():
     assert not agent.learns and agent.between_trials(state) is None
 
 
-def test_rates_are_checked():
-    for rate, retention, message in (
-        ((1.5,), (0.0,), "rate must be numbers between 0 and 1"),
-        ((0.5,), (-1.0,), "retention must be numbers between 0 and 1"),
-        ((), (), "rate must be numbers between 0 and 1"),
-        ((0.5,), (0.5, 0.9), "retention must be 1, as of rate"),
-        ((0.7, 0.7), (0.5, 0.9), "rate must be at most 1 together"),
-    ):
-        with pytest.raises(UserError, match=message):
-            Parts(rate=rate, retention=retention)
-
-
-@pytest.mark.parametrize("name", ["width", "largest_error"])
-def test_limits_of_learning_are_checked(name):
-    with pytest.raises(UserError, match=f"{name} must be positive"):
-        Parts(**{name: 0.0})
+@pytest.mark.parametrize(
+    ("settings", "argument"),
+    [
+        ({"rate": (1.5,)}, "rate"),
+        ({"rate": (), "retention": ()}, "rate"),
+        ({"rate": (0.7, 0.7), "retention": (0.5, 0.9)}, "rate"),
+        ({"retention": (-1.0,)}, "retention"),
+        ({"retention": (0.5, 0.9)}, "retention"),
+        ({"width": 0.0}, "width"),
+        ({"largest_error": 0.0}, "largest_error"),
+    ],
+)
+def test_settings_of_learning_are_checked(settings, argument):
+    with pytest.raises(UserError, match=f"^{argument} must be"):
+        Parts(**settings)
