@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.geometry import Floats
+from mmc_gym.geometry import Floats, damped_least_squares
 from mmc_gym.interface import ReachInterface
 
 Points: TypeAlias = NDArray[np.complexfloating]
@@ -28,7 +28,7 @@ def as_points(vectors: Floats) -> Points:
 
 def as_vectors(points: Points) -> Floats:
     """Return points (...) as vectors, (..., 2)."""
-    return np.stack([points.real, points.imag], axis=-1)
+    return np.ascontiguousarray(points).view(np.float64).reshape(*points.shape, 2)
 
 
 def unit_vectors(joint_angles: Floats) -> Points:
@@ -45,6 +45,17 @@ def to_hand(joint_angles: Floats, lengths: Floats) -> Points:
     """Return the vectors from each joint to the hand, (..., N); the first is the hand itself."""
     segments = lengths * unit_vectors(joint_angles)
     return np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]
+
+
+def pull_hand(levers: Points, error: Points, damping: float, held: Bools | None) -> Floats:
+    """Return the turns that move the hand by `error`, (...), by damped least squares, (..., N).
+
+    The levers are those of `to_hand`, (..., N); joints that are `held`, likewise, do not turn.
+    """
+    if held is not None:
+        levers = np.where(held, 0, levers)
+    jacobian = np.swapaxes(as_vectors(1j * levers), -1, -2)
+    return damped_least_squares(jacobian, as_vectors(error), damping)
 
 
 def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:

@@ -33,6 +33,7 @@ from mmc_gym.agents.body_model.forward_model import (
     Points,
     as_vectors,
     hand,
+    pull_hand,
     to_hand,
     unit_vectors,
 )
@@ -105,29 +106,16 @@ def settle_network(network: MMCNetwork, problem: ReachProblem, iterations: int) 
 def least_squares(problem: ReachProblem, iterations: int) -> Floats:
     """Iterate damped least squares: an `InternalModel`.
 
-    In each iteration Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, with the error e shortened to `LONGEST_ERROR`.  They
-    are half as many as given, because one costs more than an iteration of the network.
+    Errors are shortened to `LONGEST_ERROR`.  There are half as many iterations as given, because
+    one costs more than an iteration of the network.
     """
     joint_angles, aim, lengths, held = problem
     for _ in range((iterations + 1) // 2):
         levers = to_hand(joint_angles, lengths)
         error = aim - levers[..., 0]
         error = error * np.minimum(1, LONGEST_ERROR / np.maximum(np.abs(error), 1e-9))
-        jacobian = 1j * levers if held is None else np.where(held, 0, 1j * levers)
-        joint_angles = joint_angles + pulled(jacobian, error, DAMPING)
+        joint_angles = joint_angles + pull_hand(levers, error, DAMPING, held)
     return wrap_angle(joint_angles)
-
-
-def pulled(jacobian: Points, error: Points, damping: float) -> Floats:
-    """Return the turns Jᵀ(JJᵀ + λ²I)⁻¹e of joints that pull the hand, (..., N), by e, (...)."""
-    xx = (jacobian.real**2).sum(axis=-1) + damping**2
-    yy = (jacobian.imag**2).sum(axis=-1) + damping**2
-    xy = (jacobian.real * jacobian.imag).sum(axis=-1)
-    pull_x = yy * error.real - xy * error.imag
-    pull_y = xx * error.imag - xy * error.real
-    pull = (pull_x - 1j * pull_y) / (xx * yy - xy * xy)
-    turns: Floats = (jacobian * pull[..., None]).real
-    return turns
 
 
 class Imagination:

@@ -38,8 +38,15 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import where
 from mmc_gym.agents.body_model.body import Body
-from mmc_gym.agents.body_model.forward_model import Bools, Points, hand, to_hand, unit_vectors
-from mmc_gym.agents.body_model.imagination import ReachProblem, pulled
+from mmc_gym.agents.body_model.forward_model import (
+    Bools,
+    Points,
+    hand,
+    pull_hand,
+    to_hand,
+    unit_vectors,
+)
+from mmc_gym.agents.body_model.imagination import ReachProblem
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats
 
@@ -114,13 +121,11 @@ class Memory(NamedTuple):
     def correct_drift(self, turn: Floats, problem: ReachProblem) -> tuple[Floats, Memory]:
         """Return turns that take the hand where `turn` would without drift, and the memory."""
         joint_angles, aim, lengths, held = problem
-        jacobian = 1j * to_hand(joint_angles, lengths)
-        intended = (jacobian * turn).sum(axis=-1)
+        levers = to_hand(joint_angles, lengths)
+        intended = (1j * levers * turn).sum(axis=-1)
         left = np.abs(aim - self.place) / np.maximum(np.abs(aim - self.begin), 1e-9)
         against = np.exp(-1j * self.belief[:, -1] * np.minimum(left, 1.0))
-        if held is not None:
-            jacobian = np.where(held, 0, jacobian)
-        more = pulled(jacobian, intended * (against - 1), FIRM)
+        more = pull_hand(levers, intended * (against - 1), FIRM, held)
         return turn + more, self._replace(intended=intended)
 
     def keep(self, beyond: Body, given: Floats, parts: Parts, rest: float) -> Memory:
