@@ -232,7 +232,7 @@ def benchmark(
         jobs: how many cells are played at once, see `run_grid`.
         cluster: where, see `run_grid`.
         env_kwargs: arguments of all environments.  A `control` among them is for agents that act
-            by several control modes, or do not tell theirs.
+            by several control modes, or do not declare one.
         interface: of your own environments, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
         on_progress: called at the start, and whenever a cell is finished.

@@ -53,7 +53,7 @@ SCENARIOS: dict[str, Scenario] = {
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 
 SET_BY_SCENARIOS = ("task", "perturbations", "max_episode_steps")
-"""Arguments of environments that scenarios and experiments set, so that nobody else may."""
+"""Arguments of environments that scenarios and experiments set, so that users may not."""
 
 TOGETHER = 1_000  # episodes that are played at once, at most: bounds the memory
 
@@ -112,7 +112,7 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
         player = agent.factory(made)
     if not asked and isinstance(player, ModelAgent) and player.control is None:
         warnings.warn(
-            f"{agent.label} does not tell the control mode that it was trained in, and acts by "
+            f"{agent.label} does not declare the control mode that it was trained in, and acts by "
             f"{read_attribute(made, 'control')}, the environment's default; --env-kwargs "
             "control=... gives another (in Python: env_kwargs)",
             MismatchWarning,

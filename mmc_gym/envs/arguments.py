@@ -134,7 +134,7 @@ def takes(
     An unknown argument raises a `UserError` that suggests the nearest one.
     """
     of_arm = {one.name for one in fields(ArmParameters)}
-    own = inspect.signature(kind).parameters.values()
+    own = inspect.signature(kind, eval_str=True).parameters.values()
     parameters = sorted(own, key=lambda one: (one.kind, one.name in of_arm))
     names = [one.name for one in parameters]
 

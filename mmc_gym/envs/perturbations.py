@@ -263,7 +263,7 @@ class ErrorClamp(Cursor):
 @spelt
 @dataclass(frozen=True)
 class CursorJump(Cursor):
-    """The cursor is the hand, until it jumps across the way to the target and stays beside it.
+    """The cursor is the hand, until it jumps across the way to the target and keeps that distance.
 
     After Saunders & Knill (2005), Exp. Brain Res. 162:458.
     """

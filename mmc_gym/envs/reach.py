@@ -105,7 +105,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `task` says where the target is and how it moves; every task has an id, such as
     `MMCReachPursuit-v0`.  `perturbations` names what goes wrong with body, cursor or senses, with
     any strength: `["delay-160", "longer-35-known"]`.  `mmc_gym.make("pursuit+delay-160")` makes
-    both by one name.  See `mmc_gym.envs.tasks` and `mmc_gym.envs.scenarios`.
+    both by one name.  See `mmc_gym.envs.names`.
     `env.unwrapped.parameters` is the arm that agents are given.
 
     ## Arguments

@@ -183,7 +183,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     @override
     def _check_length(self, registered: EnvSpec) -> None:
-        if self.max_episode_steps == registered.max_episode_steps:  # nobody asked for another
+        if self.max_episode_steps == registered.max_episode_steps:  # no other was given
             super()._check_length(registered)
 
     def _seed(self, seeds: Sequence[int | None]) -> None:

@@ -110,7 +110,7 @@ def test_a_model_acts_in_the_control_mode_of_its_training_alone(model, run):
 
 def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(folder, tmp_path):
     bare = f"{folder}/model.zip"
-    default = "does not tell the control mode .* acts by joint_delta, the environment's default"
+    default = "does not declare the control mode .* acts by joint_delta, the environment's default"
 
     def control_of(source, **arguments):
         found = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)

@@ -19,7 +19,6 @@ from mmc_gym.envs.perturbations import (
     Obstacles,
     Perturbation,
     SegmentLength,
-    SensoryDelay,
     VisionNoise,
     VisuomotorRotation,
 )
@@ -50,7 +49,7 @@ def rough_actions(steps, seed):
 
 
 @pytest.mark.parametrize(
-    ("perturbations", "body", "is_told"),
+    ("perturbations", "body", "is_known"),
     [
         (["force-field-3", "force-field-4"], {"force_field": ((1.0, 7.0), (-7.0, 1.0))}, False),
         (["hand-mass-1", "hand-mass-2"], {"hand_mass": 3.5}, False),
@@ -69,16 +68,16 @@ def rough_actions(steps, seed):
         ("gravity-60", {"gravity": (1.0, -62.0)}, True),
     ],
 )
-def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_told):
+def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_known):
     own = {"force_field": ((1.0, 0.0), (0.0, 1.0)), "hand_mass": 0.5, "gravity": (1.0, -2.0)}
     env = MMCReachEnv(perturbations=perturbations, **own)
     assert env.setup.body == ArmParameters(**{**own, **body})
-    assert env.parameters == (env.setup.body if is_told else ArmParameters(**own))
+    assert env.parameters == (env.setup.body if is_known else ArmParameters(**own))
 
 
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("factor", [0.5, 1.2])
-def test_who_is_not_told_a_length_misses_by_its_change(factor, known):
+def test_an_agent_that_is_not_given_a_length_misses_by_its_change(factor, known):
     change = SegmentLength(factor, known=known)
     env = MMCReachEnv(perturbations=change)
     assert env.setup.body.segment_lengths == (1.0, 1.0, factor)
@@ -163,7 +162,7 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, dist
 
 
 @pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100"])
-def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name):
+def test_noise_and_delay_change_neither_reward_nor_info(name):
     disturbed, plain = MMCReachEnv(perturbations=name), MMCReachEnv()
     for env in (disturbed, plain):
         env.reset(seed=0)
@@ -301,15 +300,14 @@ class Forgetful(Noise):
 
 def test_what_cannot_be_or_be_combined_is_refused():
     for perturbations, message in (
-        (Misspelt(), r"Misspelt must have a method change_body\(self, body\), got change_bodies"),
+        (Misspelt(), "Misspelt must have a method change_body"),
         (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
         (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
         ("rotation-30+delay-40", r"perturbations '.* a list such as \['rotation-30', 'delay-40'"),
-        ("gremlins", "perturbations 'gremlins' is not accepted. It may be force-field, .*locks"),
         (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
-        (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
-        (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
-        ("longer-500", r"must leave targets in reach, .*6\.0\), given as \(1\.0, 1\.0, 1\.0\)"),
+        (Obstacles(((0.0, 0.0, 1.0),)), "obstacles must leave room for the arm"),
+        (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach"),
+        ("longer-500", "must leave targets in reach"),
         (["clamp-15", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
@@ -366,15 +364,3 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(length, task):
     action = np.full(env.action_space.shape, 0.7, np.float32)
     assert env.observation_space.contains(env.reset(seed=0)[0])
     assert all(env.observation_space.contains(env.step(action)[0]) for _ in range(60))
-
-
-def test_values_that_make_no_sense_are_refused():
-    for kind, name, value in (
-        (SegmentLength, "factor", 0.0),
-        (LockedJoint, "time", -0.1),
-        (SensoryDelay, "seconds", math.inf),
-        (JointNoise, "speed_std", math.nan),
-        (VisuomotorRotation, "centre", (0.0, math.inf)),
-    ):
-        with pytest.raises(UserError, match=f"^{name} must be"):
-            kind(**{name: value})

@@ -195,15 +195,14 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
 @pytest.mark.parametrize(
     ("method", "given", "message"),
     [
-        ("step", [0.0, math.nan, 0.0], "action must lie within -1 and 1, got"),
-        ("step", [0.0, 0.0], r"action must have shape \(3,\), got \(2,\)"),
-        ("step", "abc", "action must be numbers within"),
-        ("reset", {"goal": (0, 0)}, "'goal' is not accepted. It may be joint_angles, target or"),
-        ("reset", {"target": "there"}, r"options\['target'\] must be 2 finite .*'there'"),
-        ("reset", {"target": (3.0, 0.1)}, r"\['target'\] .*between 0 and 3.*\(3.0, 0.1\)"),
+        ("step", [0.0, math.nan, 0.0], "action must lie within -1 and 1"),
+        ("step", [0.0, 0.0], "action must have shape"),
+        ("step", "abc", "action must be numbers"),
+        ("reset", {"goal": (0, 0)}, "'goal' is not accepted"),
+        ("reset", {"target": "there"}, r"options\['target'\] must be 2 finite"),
         ("reset", {"joint_angles": (0, 0)}, r"options\['joint_angles'\] must be 3 finite"),
         ("reset", {"joint_angles": (0, 0, 0), "target": (9, 9)}, r"options\['target'\]"),
-        ("set_target", (3.1, 0.0), r"between 0 and 3 from the base, got \(3.1, 0.0\)"),
+        ("set_target", (3.1, 0.0), "between 0 and 3 from the base"),
     ],
 )
 def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
@@ -218,23 +217,21 @@ def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
     assert tried.np_random.bit_generator.state == untried.np_random.bit_generator.state
 
 
-def test_what_the_arm_cannot_do_is_refused():
-    with pytest.raises(UserError, match="must be within the joint limits"):
-        MMCReachEnv(joint_limits=LIMITS).reset(options={"joint_angles": [0.0] * 3})
-    with pytest.raises(UserError, match=r"between 1\.5 and 2\.5 from"):
-        MMCReachEnv(segment_lengths=(2.0, 0.5)).reset(options={"target": (1.0, 0.0)})
-
-
-def test_impossible_environments_are_refused():
-    for name, value, message in (
-        ("control", "torque", "control 'torque' .*; did you mean 'joint_torque'"),
-        ("reward_type", "golden", r"reward_type 'golden' is not accepted\. It may be dense or sp"),
-        ("render_mode", "ansi", r"render_mode 'ansi' is not accepted\. It may be None, human or"),
-        ("control_weight", "a", r"control_weight must be from 0 to 1e\+09, got 'a'"),
-        ("n_segments", 4, "takes no argument 'n_segments'"),
-    ):
-        with pytest.raises(UserError, match=message):
-            MMCReachEnv(**{name: value})
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ({"joint_limits": LIMITS}, {"joint_angles": [0.0] * 3}, "within the joint limits"),
+        ({"segment_lengths": (2.0, 0.5)}, {"target": (1.0, 0.0)}, r"between 1\.5 and 2\.5 from"),
+        ({"control": "torque"}, None, "control 'torque' .*; did you mean 'joint_torque'"),
+        ({"reward_type": "golden"}, None, "reward_type 'golden' is not accepted"),
+        ({"render_mode": "ansi"}, None, "render_mode 'ansi' is not accepted"),
+        ({"control_weight": "a"}, None, "control_weight must be from 0"),
+        ({"n_segments": 4}, None, "takes no argument 'n_segments'"),
+    ],
+)
+def test_what_the_arm_cannot_be_or_do_is_refused(arguments, options, message):
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(**arguments).reset(options=options)
 
 
 def with_number(name, value):

