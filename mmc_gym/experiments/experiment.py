@@ -128,7 +128,7 @@ def _has(changes: Sequence[Change], kind: type) -> bool:
 
 def _strength(changes: Sequence[Change]) -> float:
     """Return the strength of the last perturbation that is not of the senses; 0 without one."""
-    learned = [one for one in changes if not _has([one], Noise | SensoryDelay)]  # type: ignore
+    learned = [one for one in changes if not isinstance(one.perturbation, Noise | SensoryDelay)]
     return (learned[-1].strength or 0.0) if learned else 0.0
 
 
@@ -172,8 +172,8 @@ class Block:
     #: names, such as "rotation-30", or `Change`s: rotation, clamp, force-field and cursor-jump, of
     #: which learning is measured, and what disturbs the senses
     perturbations: Learned = ()
-    #: directions from the start; each subject meets them in an order of its own, all of them before
-    #: one comes again
+    #: directions from the start; each subject has another order, with all of them before one
+    #: is repeated
     targets: Annotated[Directions, MinLen(1)] = EIGHT
     probes: tuple[Probe, ...] = ()  #: trials among these in which something else happens
     gradual: bool = False  #: whether perturbations grow, to their strength in the last trial

@@ -159,7 +159,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else list(value)
 
 
-class Session:
+class _Session:
     """The subjects of a cell in their trials: seeds, targets, environments and recorded paths."""
 
     def __init__(self, cell: TrialsCell, player: Player) -> None:
@@ -234,7 +234,7 @@ class Session:
 def run_cell(cell: TrialsCell) -> bytes:
     """Play a cell, and return its file."""
     player = cell.player()
-    session, subjects = Session(cell, player), range(len(cell.subjects))
+    session, subjects = _Session(cell, player), range(len(cell.subjects))
     if not isinstance(player.agent, Agent):
         for subject in subjects:
             session.play_in_turn(cell.player().agent, [subject])
@@ -246,7 +246,7 @@ def run_cell(cell: TrialsCell) -> bytes:
     return to_parquet(session.columns(player.control_step), Kept(cell.settings, facts))
 
 
-def checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
+def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
     """Yield cells without the parts that their agents lack; refuse what cannot be played."""
     tried = set()
     for cell in cells:
@@ -328,12 +328,22 @@ def run_experiment(
         )
         for agent in found
     ]
-    whole = list(checked(whole))
-    cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
+    whole = list(_checked(whole))
     for one in whole if folder else ():  # before play: a file that is missing later is noticed
         plan = cast(Path, folder) / f"{one.stem}.json"
         if _subjects_in(plan) < subjects:
             write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
+    cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
+    return _result([read_table(one) for one in _played(cells, folder, jobs, on_progress)])
+
+
+def _played(
+    cells: Sequence[TrialsCell],
+    folder: Path | None,
+    jobs: int | None,
+    on_progress: Callable[[int, int], None],
+) -> list[bytes]:
+    """Return the files of cells: those that the folder keeps, and the others played now."""
     kept = [_content(folder / cell.file_name, cell) if folder else None for cell in cells]
     missing = [number for number, content in enumerate(kept) if content is None]
     on_progress(len(cells) - len(missing), len(cells))
@@ -344,9 +354,8 @@ def run_experiment(
             write_atomically(folder / cells[missing[index]].file_name, content)
         on_progress(len(cells) - kept.count(None), len(cells))
 
-    played = [cells[number] for number in missing]
-    run_grid(run_cell, played, jobs=jobs, on_result=keep_file)
-    return _result([read_table(content) for content in kept if content is not None])
+    run_grid(run_cell, [cells[number] for number in missing], jobs=jobs, on_result=keep_file)
+    return [content for content in kept if content is not None]
 
 
 def _content(path: Path, cell: TrialsCell) -> bytes | None:
@@ -417,9 +426,9 @@ def _planned_files(folder: Path) -> Iterator[Path]:
     """Return the files of trials that a store must hold; refuse one without a plan."""
     plans = sorted(folder.glob("[!.]*.json"))
     for path in sorted(folder.glob("[!.]*.parquet")):
-        beside = f"{path.name.rsplit('.', 2)[0]}.json"
-        if folder / beside not in plans:
-            raise UserError(f"{path} must have its {beside} beside it, as this version writes it")
+        plan = path.with_name(f"{path.name.rsplit('.', 2)[0]}.json")
+        if plan not in plans:
+            raise UserError(f"{path} must have its {plan.name}, as this version writes it")
     for plan in plans:
         for some in _in_files(_subjects_in(plan)):
             path = plan.with_name(_file_name(plan.stem, some))

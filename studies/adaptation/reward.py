@@ -1,12 +1,12 @@
-"""Count the trials that stable-baselines3 needs to adapt to a turned cursor from reward alone.
+"""Count the trials that SAC and PPO need to adapt to a visuomotor rotation from reward alone.
 
     python -m studies.adaptation.reward
 
-SAC and PPO learn to reach the eight targets of `centre-out`; then the cursor is turned, and they go
-on learning after each trial of a second.  Every so many trials all targets are met once without
-exploration: the direction of the hand at its highest speed (degrees from the target, −30 is fully
-adapted), and success.  `SAC-emptied` goes on with an empty memory of transitions, because those
-from before the turn contradict those after it.
+Those of stable-baselines3 learn to reach the eight targets of `centre-out`; then the cursor is
+rotated, and they continue to learn after each trial of a second.  Now and then all targets are
+played once without exploration, for the hand angle at peak speed (degrees from the target, −30 is
+fully adapted) and success.  `SAC-emptied` continues with an empty memory of transitions, because
+those from before the rotation contradict those after it.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class Arguments:
     """Let learners adapt by reward.
 
     Attributes:
-        degrees: by which the cursor is turned.
-        sac_steps: steps of SAC before the turn.
+        degrees: of the rotation.
+        sac_steps: steps of SAC before the rotation.
         ppo_steps: the same of PPO.
-        trials: after the turn.
+        trials: with the rotation.
         every: trials between two measurements.
         seed: of all trainings.
         learners: names of those that learn; SAC, PPO, or SAC-emptied.
@@ -60,13 +60,13 @@ class Arguments:
 
 
 def make(turned: float) -> gym.Env[Any, Any]:
-    """Return the environment of the trials, with a turned cursor if `turned` is not 0."""
+    """Return the environment of the trials, with a rotated cursor if `turned` is not 0."""
     name = f"centre-out+rotation-{turned:g}" if turned else "centre-out"
     return mmc_gym.make(name, max_episode_steps=STEPS)
 
 
 def measured(model: BaseAlgorithm, env: gym.Env[Any, Any]) -> tuple[float, float]:
-    """Return mean direction of the hand in the eight trials, degrees, and success."""
+    """Return the mean hand angle in the eight trials, degrees, and success."""
     options = [{"trial": trial} for trial in range(DIRECTIONS)]
     episodes = run_episodes(model, env, range(DIRECTIONS), options=options)
     hands = np.array([episode.hands for episode in episodes])
@@ -76,7 +76,7 @@ def measured(model: BaseAlgorithm, env: gym.Env[Any, Any]) -> tuple[float, float
 
 
 def curve(model: BaseAlgorithm, arguments: Arguments) -> list[tuple[int, float, float]]:
-    """Turn the cursor, and return trials, direction and success while the model goes on."""
+    """Rotate the cursor, and return trials, hand angle and success while the model learns."""
     turned = make(arguments.degrees)
     model.set_env(make_vec_env(lambda: make(arguments.degrees), seed=arguments.seed))
     found = [(0, *measured(model, turned))]
@@ -120,16 +120,14 @@ LEARNERS: dict[str, Callable[[Arguments], BaseAlgorithm]] = {
 
 
 def main(arguments: Arguments) -> None:
-    """Train, turn the cursor, and print the curves."""
+    """Train, rotate the cursor, and print the curves."""
     console, curves = Console(), {}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     for name in arguments.learners:
         curves[name] = curve(LEARNERS[name](arguments), arguments)
         arguments.out.write_text(json.dumps(curves, indent=1), encoding="utf-8")
         console.print(f"{name}: {arguments.trials} trials done")
-    table = Table(
-        title=f"direction of the hand, ° (success, %): cursor turned {arguments.degrees}°"
-    )
+    table = Table(title=f"hand angle, ° (success, %), in a rotation of {arguments.degrees}°")
     for heading in ("trials", *curves):
         table.add_column(heading, justify="right")
     for rows in zip(*curves.values(), strict=True):
