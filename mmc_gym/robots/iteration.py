@@ -59,13 +59,10 @@ def _begin(block):
 @inner
 def _place(block, arm):
     """Find nodes v_0g and axes u_i of postures by the product of exponentials, see `arm`."""
+    block.shift[:] = 0.0
+    block.turn[:] = 0.0
     for a in range(3):
-        for k in range(LANES):
-            block.shift[a, k] = 0.0
-            block.turn[a, 0, k] = 0.0
-            block.turn[a, 1, k] = 0.0
-            block.turn[a, 2, k] = 0.0
-            block.turn[a, a, k] = 1.0
+        block.turn[a, a, :] = 1.0
     for i in range(arm.axes.shape[0]):
         if i == 0 or arm.joint_nodes[i] != arm.joint_nodes[i - 1]:
             _place_node(block, arm.nodes, arm.joint_nodes[i])
@@ -107,11 +104,10 @@ def _compare(block, course):
     `miss` is the largest |e_g|², `merit` the sum of all squares; `sine` (squared) and `cosine` are
     those of the angle by which the hand still has to turn.
     """
-    for k in range(LANES):
-        block.miss[k] = 0.0
-        block.merit[k] = 0.0
-        block.sine[k] = 0.0
-        block.cosine[k] = -0.5
+    block.miss[:] = 0.0
+    block.merit[:] = 0.0
+    block.sine[:] = 0.0
+    block.cosine[:] = -0.5
     for g in range(1, block.node.shape[0]):
         if course.is_placed[g]:
             for k in range(LANES):
@@ -192,8 +188,7 @@ def _move(block, course):
     A joint that a limit stops has no velocity.
     """
     joints = block.angle.shape[0]
-    for k in range(LANES):
-        block.memory[k] = 0.0
+    block.memory[:] = 0.0
     for i in range(joints):
         for k in range(LANES):
             block.memory[k] += block.pull[i, k] * block.velocity[i, k]
@@ -219,8 +214,7 @@ def _newton(block, arm, course):
     joints = block.angle.shape[0]
     for i in range(joints):
         for j in range(joints):
-            for k in range(LANES):
-                block.row[i, j, k] = 0.0
+            block.row[i, j, :] = 0.0
             for a in range(3):
                 for k in range(LANES):
                     along = block.axis[i, a, k] * block.axis[j, a, k]

@@ -199,17 +199,22 @@ class HingeNetwork:
         require_whole("iterations", iterations, least=0)
         batch = _together("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
         tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
-        lanes = np.resize(np.arange(len(tasks)), (-(-len(tasks) // LANES), LANES))
-        blocks = self._blocks(tasks[lanes])
-        for name, values in (("angle", state.joint_angles), ("velocity", state.joint_velocities)):
-            rows = np.broadcast_to(values, (*batch, n)).reshape(-1, n)
-            blocks[name] = np.swapaxes(rows[lanes], 1, 2)
+        count = -(-len(tasks) // LANES)
+        rows = np.resize(
+            np.arange(len(tasks)), (count, LANES)
+        )  # the first ones fill the last block
+        blocks = self._blocks(tasks[rows])
+
+        def in_lanes(values: Floats) -> Floats:
+            return np.swapaxes(np.broadcast_to(values, (*batch, n)).reshape(-1, n)[rows], 1, 2)
+
+        def in_rows(values: Floats) -> Floats:
+            return np.swapaxes(values, 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
+
+        blocks["angle"] = in_lanes(state.joint_angles)
+        blocks["velocity"] = in_lanes(state.joint_velocities)
         self._settle(blocks, self._course(clamps, iterations))
-        angles, velocities = (
-            np.swapaxes(blocks[name], 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
-            for name in ("angle", "velocity")
-        )
-        return HingeState(angles, velocities)
+        return HingeState(in_rows(blocks["angle"]), in_rows(blocks["velocity"]))
 
     def solve(
         self,

@@ -150,25 +150,33 @@ class ArmGroup:
         scratch: pymunk.Space,
     ) -> None:
         """Place the arms `members` of the group; `scratch` is an empty Space."""
-        substep = self._parameters.substep
+        if self._parameters.obstacles:  # Chipmunk remembers contacts, and cannot forget them
+            self._rebuild(members)
         linkages = [self.linkages[member] for member in members]
-        if self._parameters.obstacles:
-            for member in members:
-                self._spaces[member] = space = make_space(self._parameters)
-                self.linkages[member] = Linkage(space, self._parameters, self._servo)
-            self._find_handles()
-            linkages = [self.linkages[member] for member in members]
-        elif len(linkages) == len(self.linkages):
-            forget_impulses(self._spaces[0], linkages, substep)
-        else:  # the other arms must not move
-            for linkage in linkages:
-                linkage.move_joints(self._spaces[0], scratch)
-            forget_impulses(scratch, linkages, substep)
-            for linkage in linkages:
-                linkage.move_joints(scratch, self._spaces[0])
+        if not self._parameters.obstacles:
+            self._forget_impulses(linkages, scratch)
         for linkage, posture, speeds in zip(linkages, joint_angles, joint_velocities):
             linkage.place(posture, speeds)
         self._yields[members] = 1.0
+
+    def _rebuild(self, members: Sequence[int]) -> None:
+        """Build these arms and their Spaces anew."""
+        for member in members:
+            self._spaces[member] = space = make_space(self._parameters)
+            self.linkages[member] = Linkage(space, self._parameters, self._servo)
+        self._find_handles()
+
+    def _forget_impulses(self, linkages: Sequence[Linkage], scratch: pymunk.Space) -> None:
+        """Clear what the joints of these arms remember; the other arms do not move."""
+        [space], substep = self._spaces, self._parameters.substep
+        if len(linkages) == len(self.linkages):
+            forget_impulses(space, linkages, substep)
+            return
+        for linkage in linkages:
+            linkage.move_joints(space, scratch)
+        forget_impulses(scratch, linkages, substep)
+        for linkage in linkages:
+            linkage.move_joints(scratch, space)
 
 
 def _relative(absolute: Floats) -> Floats:
