@@ -3,8 +3,8 @@
     python .ci/packages.py [FOLDER]
 
 Both are built into FOLDER (default: dist).  Each is installed where nothing else is, and the first
-Python example of README.md runs there; the tests of the network run from the unpacked source
-archive.  Exit status 0: both work.
+Python example of README.md runs there; what needs an extra says which; the tests of the network run
+from the unpacked source archive.  Exit status 0: both work.
 """
 
 from __future__ import annotations
@@ -28,6 +28,14 @@ ENVIRONMENT = {
     "PIP_BUILD_CONSTRAINT": str(CONSTRAINTS),
     "PIP_CONSTRAINT": str(CONSTRAINTS),
     "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+}
+
+# Code that needs an extra, by the extra.
+NEEDS = {
+    "fast": "import mmc_gym; mmc_gym.make('random', engine='analytic')",
+    "video": "from mmc_gym.record import record; record('film.mp4')",
+    "cluster": "import mmc_gym.benchmark.runner as one; one.benchmark(['mmc'], 'x', cluster='ray')",
+    "training": "import mmc_gym; mmc_gym.train('sac', steps=1, tensorboard='logs')",
 }
 
 
@@ -61,6 +69,10 @@ def try_out(package: Path, scratch: Path) -> None:
     print(f"{package.name}: README's first example prints", flush=True)
     run(python, "-W", "error", example, cwd=scratch)
     run(python, "-m", "mmc_gym.cli", "--help", cwd=scratch, stdout=subprocess.DEVNULL)
+    for extra, code in NEEDS.items():
+        done = subprocess.run([python, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+        if done.returncode == 0 or f'pip install "mmc-gym[{extra}]"' not in done.stderr:
+            sys.exit(f"failed: without the extra {extra} {code!r} says {done.stderr}")
     if package.name.endswith(".tar.gz"):
         test(package, python, scratch)
     print(
