@@ -171,14 +171,10 @@ class HingeNetwork:
         places = {node: _floats("points", point, (3,)) for node, point in points.items()}
         if position is not None:
             places[arm.node_count - 1] = _floats("position", position, (3,))
-        shapes = [one.shape for one in angles.values()]
-        shapes += [one.shape[:-1] for one in places.values()]
-        turn = np.zeros((3, 3))
-        if rotation is not None:  # as a turn of the whole arm
-            wanted = _floats("rotation", rotation, (3, 3))
-            require_rotations("rotation", wanted)
-            turn = wanted @ arm.home[:3, :3].T
-            shapes.append(turn.shape[:-2])
+        turn = np.zeros((3, 3)) if rotation is None else self._turn_to(rotation)
+        shapes = [angle.shape for angle in angles.values()]
+        shapes += [place.shape[:-1] for place in places.values()]
+        shapes.append(turn.shape[:-2])
         tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
         tasks["low"], tasks["high"] = arm.limits.T
         tasks["wanted"] = turn
@@ -190,6 +186,12 @@ class HingeNetwork:
         is_placed[list(places)] = True
         free = max(1, arm.joint_count - len(held))
         return HingeClamps(tasks, is_placed, rotation is not None, free)
+
+    def _turn_to(self, rotation: ArrayLike) -> Floats:
+        """Return by how much the arm in its zero posture would have to turn as a whole."""
+        wanted = _floats("rotation", rotation, (3, 3))
+        require_rotations("rotation", wanted)
+        return wanted @ self.arm.home[:3, :3].T
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.

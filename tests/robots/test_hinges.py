@@ -10,6 +10,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.robots import HingeArm, HingeNetwork
 
 ROBOTS = ("panda", "ur5", "iiwa")
+PANDA = HingeArm.named("panda")
 POSTURE = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
 SHIPPED = {
     "panda": ("franka_panda/panda.urdf", "panda_link0", "panda_link8"),
@@ -160,27 +161,25 @@ def test_a_planar_arm_finds_its_poses_by_itself(joints):
 
 @pytest.mark.parametrize("free", [(3,), (1, 3), (1, 3, 5)])
 def test_a_robot_with_few_free_joints_finds_its_poses_by_itself(free):
-    arm = HingeArm.named("panda")
-    angles = postures(arm, 100)
-    poses, held = arm.forward(angles), {i: angles[:, i] for i in range(7) if i not in free}
-    network = HingeNetwork(arm)
+    angles = postures(PANDA, 100)
+    poses, held = PANDA.forward(angles), {i: angles[:, i] for i in range(7) if i not in free}
+    network = HingeNetwork(PANDA)
     assert network.solve(poses[:, :3, 3], poses[:, :3, :3], held=held).is_solved.all()
 
 
 def test_tasks_may_be_mixed():
     """The hand at one point, the elbow at another, a joint locked: every clamp holds."""
-    arm = HingeArm.named("panda")
-    nodes = arm.nodes(POSTURE)
-    solution = HingeNetwork(arm).solve(
+    nodes = PANDA.nodes(POSTURE)
+    solution = HingeNetwork(PANDA).solve(
         position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, tolerance=EXACT
     )
     assert solution.is_solved
-    np.testing.assert_allclose(arm.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
+    np.testing.assert_allclose(PANDA.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
     assert solution.joint_angles[5] == 1.6
 
 
 def test_held_joints_give_the_forward_task():
-    network = HingeNetwork(HingeArm.named("panda"))
+    network = HingeNetwork(PANDA)
     clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(POSTURE)))
     state = network.run(network.state(np.zeros(7)), clamps, 3)
     assert state.joint_angles.tolist() == POSTURE.tolist()
@@ -197,9 +196,8 @@ def test_a_target_out_of_reach_gives_the_stretched_arm():
 
 
 def test_the_given_start_is_preferred():
-    arm = HingeArm.named("panda")
-    pose = arm.forward(POSTURE + 0.05)
-    near = HingeNetwork(arm).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
+    pose = PANDA.forward(POSTURE + 0.05)
+    near = HingeNetwork(PANDA).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
     assert near.is_solved
     assert np.abs(near.joint_angles - POSTURE).max() < 0.15
 
@@ -221,9 +219,8 @@ def test_a_path_is_followed_without_a_jump(name):
 
 
 def test_one_start_is_no_other():
-    arm = HingeArm.named("panda")
-    away = arm.forward(-POSTURE)[:3, 3]
-    network = HingeNetwork(arm)
+    away = PANDA.forward(-POSTURE)[:3, 3]
+    network = HingeNetwork(PANDA)
     alone = network.solve(away, start=POSTURE, starts=1).joint_angles
     start, clamps = network.state(POSTURE), network.clamp(away)
     path = [network.run(start, clamps, iterations).joint_angles for iterations in range(151)]
@@ -231,9 +228,8 @@ def test_one_start_is_no_other():
 
 
 def test_batches_are_solved_as_their_tasks_alone():
-    arm = HingeArm.named("panda")
-    network = HingeNetwork(arm)
-    poses = arm.forward(postures(arm, 6)).reshape(2, 3, 4, 4)
+    network = HingeNetwork(PANDA)
+    poses = PANDA.forward(postures(PANDA, 6)).reshape(2, 3, 4, 4)
     held = {0: np.array([[0.1], [-0.4]])}
     together = network.solve(poses[..., :3, 3], held=held)
     assert together.joint_angles.shape == (2, 3, 7)
@@ -256,7 +252,7 @@ def test_batches_are_solved_as_their_tasks_alone():
 )
 def test_a_task_that_does_not_fit_the_arm_is_refused(arguments, named):
     with pytest.raises(UserError, match=named):
-        HingeNetwork(HingeArm.named("panda")).solve(**arguments)
+        HingeNetwork(PANDA).solve(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +266,7 @@ def test_a_task_that_does_not_fit_the_arm_is_refused(arguments, named):
     ],
 )
 def test_a_matrix_that_is_no_rotation_is_refused(turn, said):
-    network = HingeNetwork(HingeArm.named("panda"))
+    network = HingeNetwork(PANDA)
     with pytest.raises(ValueError, match=f"rotation must be a rotation.*rotation is {said}"):
         network.solve(rotation=turn)
     turns = np.tile(np.eye(3), (2, 3, 1, 1))
@@ -280,10 +276,9 @@ def test_a_matrix_that_is_no_rotation_is_refused(turn, said):
 
 
 def test_a_rotation_in_single_precision_is_accepted():
-    arm = HingeArm.named("panda")
-    turns = arm.forward(postures(arm, 500))[:, :3, :3].astype(np.float32)
-    assert HingeNetwork(arm).clamp(rotation=turns).tasks.shape == (500,)
-    assert HingeNetwork(arm).clamp(rotation=turns[:0]).tasks.shape == (0,)
+    turns = PANDA.forward(postures(PANDA, 500))[:, :3, :3].astype(np.float32)
+    assert HingeNetwork(PANDA).clamp(rotation=turns).tasks.shape == (500,)
+    assert HingeNetwork(PANDA).clamp(rotation=turns[:0]).tasks.shape == (0,)
 
 
 @pytest.mark.parametrize(
@@ -300,9 +295,8 @@ def test_a_rotation_in_single_precision_is_accepted():
     ],
 )
 def test_a_description_of_no_arm_or_network_is_refused(make, named):
-    arm = HingeArm.named("panda")
     with np.errstate(invalid="ignore"), pytest.raises(UserError, match=named):
-        make(arm)
+        make(PANDA)
 
 
 def test_without_numba_a_network_names_the_extra(monkeypatch):
