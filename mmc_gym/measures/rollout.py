@@ -103,23 +103,13 @@ def run_episodes(
     >>> first.seed, second.hands.shape
     (5, (101, 2))
     """
-    fine = hasattr(agent, "predict") and not isinstance(agent, type)
-    require(fine, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
-    fine = isinstance(env, gym.Env | gym.vector.VectorEnv)
-    require(fine, "env", env, "an environment, such as gym.make('MMCReach-v0')")
-    fine = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
-    require(fine, "seeds", seeds, "whole numbers of at least 0, one per episode")
-    seeds = [int(seed) for seed in seeds]
-    asked = [{}] * len(seeds) if options is None else options
-    fine = isinstance(asked, Sequence) and all(isinstance(one, Mapping) for one in asked)
-    fine = fine and len(asked) == len(seeds)
-    require(fine, "options", asked, f"a list of {len(seeds)} mappings, one per seed")
+    seeds, options = _check_arguments(agent, env, seeds, options)
     if isinstance(env, gym.vector.VectorEnv):
         arm: Any = _check_vector(env, len(seeds)).arms
-        groups = [(seeds, asked)]
+        groups = [(seeds, options)]
     else:
         check_environment(env)
-        groups = [([seed], [option]) for seed, option in zip(seeds, asked, strict=True)]
+        groups = [([seed], [option]) for seed, option in zip(seeds, options, strict=True)]
         arm = getattr(env.unwrapped, "arm", None)
     episodes: list[Episode] = []
     with one_torch_thread(), ExitStack() as stack:
@@ -132,6 +122,24 @@ def run_episodes(
                 if on_episode is not None:
                     on_episode(episode)
     return tuple(episodes)
+
+
+def _check_arguments(
+    agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options] | None
+) -> tuple[list[int], Sequence[Options]]:
+    """Return the seeds, and the options of each; raise a `UserError` for a wrong argument."""
+    acts = hasattr(agent, "predict") and not isinstance(agent, type)
+    require(acts, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
+    is_env = isinstance(env, gym.Env | gym.vector.VectorEnv)
+    require(is_env, "env", env, "an environment, such as gym.make('MMCReach-v0')")
+    are_whole = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
+    require(are_whole, "seeds", seeds, "whole numbers of at least 0, one per episode")
+    whole = [int(seed) for seed in seeds]
+    given: Any = [{}] * len(whole) if options is None else options
+    are_mappings = isinstance(given, Sequence) and all(isinstance(one, Mapping) for one in given)
+    one_each = are_mappings and len(given) == len(whole)
+    require(one_each, "options", given, f"a list of {len(whole)} mappings, one per seed")
+    return whole, given
 
 
 def run_trial(
@@ -160,18 +168,8 @@ def _play(
     """
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
-    effort = _EFFORT if getattr(arm, "records_effort", False) else ()
-    records: defaultdict[str, list[Any]] = defaultdict(list)
-
-    def note(info: Mapping[str, Any]) -> None:
-        for name, key in _SEEN.items():
-            if key in info:
-                records[name].append(info[key])
-        # The arm's own posture, because the observed one may be noisy and late.
-        posture = getattr(arm, "joint_angles", info.get("joint_angles", ()))
-        records["joint_angles"].append(np.array(posture))
-
-    note(info)
+    recording = _Recording(arm, together)
+    recording.look(info)
     times: list[int] = []
     episode_start, over = np.full(len(seeds), state is None), False
     while not over:
@@ -184,41 +182,73 @@ def _play(
             require(False, "what predict returns", predicted, "a pair (action, state)")
         action, state = predicted
         observation, reward, terminated, truncated, info = env.step(action)
-        note(info)
-        records["rewards"].append(reward)
-        for name in effort:
-            records[name].append(np.array(getattr(arm, name)))
+        recording.look(info)
+        recording.add_step(reward)
         episode_start = np.zeros(len(seeds), dtype=bool)
         over = bool(np.all(np.logical_or(terminated, truncated)))
-
-    def by_episode(values: Sequence[Any]) -> Floats:
-        """Return arrays (steps, …) or (steps, episodes, …) as (episodes, steps, …)."""
-        found = np.array(values, dtype=np.float64)
-        return np.ascontiguousarray(found.swapaxes(0, 1)) if together else found[None]
-
-    arrays = {name: by_episode(values) for name, values in records.items()}
-    unreported = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
-    arrays = {**dict.fromkeys(_EFFORT, unreported), **arrays}
-    world: Any = env.unwrapped
-    says = None
-    if math.isnan(world.success_distance):
-        fine = "is_success" in info
-        require(fine, "info", sorted(info), "with is_success, or interface with success_distance")
-        says = bool(info["is_success"])
+    arrays, facts = recording.arrays(), _facts(env, info)
     episodes = [
         Episode(
             seed=seed,
             **{name: values[number] for name, values in arrays.items()},
             # One `predict` for many arms does not show how long it takes for one arm.
             action_times=np.where(together, math.nan, np.array(times, dtype=np.float64) * 1e-9),
-            control_step=float(world.parameters.control_step),
-            tolerance=float(world.success_distance),
-            reach=float(world.reach),
-            is_success=says,
+            **facts,
         )
         for number, seed in enumerate(seeds)
     ]
     return episodes, state
+
+
+class _Recording:
+    """What one arm reports step by step, or all arms of a vector environment together."""
+
+    def __init__(self, arm: Any, together: bool) -> None:
+        self._arm, self._together = arm, together
+        self._effort = _EFFORT if getattr(arm, "records_effort", False) else ()
+        self._values: defaultdict[str, list[Any]] = defaultdict(list)
+
+    def look(self, info: Mapping[str, Any]) -> None:
+        """Add where hand, target and joints are."""
+        for name, key in _SEEN.items():
+            if key in info:
+                self._values[name].append(info[key])
+        # The arm's own posture, because the observed one may be noisy and late.
+        posture = getattr(self._arm, "joint_angles", info.get("joint_angles", ()))
+        self._values["joint_angles"].append(np.array(posture))
+
+    def add_step(self, reward: Any) -> None:
+        """Add the reward of a step, and the effort of the servos in it."""
+        self._values["rewards"].append(reward)
+        for name in self._effort:
+            self._values[name].append(np.array(getattr(self._arm, name)))
+
+    def arrays(self) -> dict[str, Floats]:
+        """Return all by name, (episodes, steps, …); effort that was not recorded is NaN."""
+        found = {}
+        for name, values in self._values.items():
+            array = np.array(values, dtype=np.float64)  # (steps, …) or (steps, episodes, …)
+            found[name] = (
+                np.ascontiguousarray(array.swapaxes(0, 1)) if self._together else array[None]
+            )
+        unreported = np.full_like(found["joint_angles"][:, 1:], math.nan)
+        return {**dict.fromkeys(_EFFORT, unreported), **found}
+
+
+def _facts(env: Env, info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what episodes have of their environment, and its own word on success at the end."""
+    world: Any = env.unwrapped
+    is_success = None
+    if math.isnan(world.success_distance):
+        said = "with is_success, or interface with success_distance"
+        require("is_success" in info, "info", sorted(info), said)
+        is_success = bool(info["is_success"])
+    return {
+        "control_step": float(world.parameters.control_step),
+        "tolerance": float(world.success_distance),
+        "reach": float(world.reach),
+        "is_success": is_success,
+    }
 
 
 def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
@@ -239,9 +269,9 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
     for group in alike.values():
         mask = np.zeros(len(seeds), dtype=bool)
         mask[group] = True
-        asked = {**options[group[0]], "reset_mask": mask}
         own = [seed if chosen else None for seed, chosen in zip(seeds, mask)]
-        observation, info = env.reset(seed=own, options=asked)
+        masked = {**options[group[0]], "reset_mask": mask}
+        observation, info = env.reset(seed=own, options=masked)
         for key in _SEEN.values():
             if key in info:
                 values = seen.setdefault(key, np.zeros(info[key].shape))
