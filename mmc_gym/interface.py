@@ -1,6 +1,6 @@
 """The contract between environments and agents: observations, actions, what agents are given.
 
-Only this module knows which number stands where in an observation.
+Only this module knows the place of each number in an observation.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def main(
     episodes: int = 100,
     out: Path = Path("runs/people"),
 ) -> None:
-    """Play movements and experiments, print agents beside people, and draw them.
+    """Play movements and experiments, print agents and people, and draw them.
 
     Args:
         agents: names of agents.
@@ -197,7 +197,7 @@ def main(
     (out / "people.md").write_text(text, encoding="utf-8")
     save_figure(draw(frame), out / "people")
     plain = [{key: escape(value) for key, value in line.items()} for line in lines]
-    Console(width=200).print(table_of(plain, "agents beside people"))
+    Console(width=200).print(table_of(plain, "agents and people"))
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def draw(movements):
     return paths_and_profiles(movements, reach=3.0, tolerance=0.05, control_step=0.02)
 
 
-def test_paths_are_told_apart_without_colour_and_the_profile_is_their_median_speed():
+def test_paths_differ_without_colour_and_the_profile_is_their_median_speed():
     movements = {name: [movement(number) for number in range(3)] for name in ("oracle", "frozen")}
     above, _, below, _ = draw(movements).axes
     paths = [line for line in above.lines if len(line.get_xdata()) > 1]
@@ -113,7 +113,7 @@ def test_paths_are_told_apart_without_colour_and_the_profile_is_their_median_spe
     assert line.get_ydata() == pytest.approx(movements["oracle"][1].speeds)
 
 
-def test_at_most_six_agents_stand_side_by_side_at_one_scale():
+def test_at_most_six_agents_are_side_by_side_at_one_scale():
     ten = {f"agent {number}": [movement(number)] for number in range(10)}
     figure = draw(ten)
     assert figure.get_figwidth() * 150 < 1400

@@ -74,7 +74,7 @@ class SinglePrecision(DrawerInterface):
 
 
 class Returning(DrawerInterface):
-    """Returns what it is told to: `wrong` of what it sees, or of its actions."""
+    """Returns what it is set to: `wrong` of what it sees, or of its actions."""
 
     wrong = None
 
@@ -164,7 +164,7 @@ def comparison(tmp_path_factory):
 def test_agents_are_compared_and_what_the_environment_does_not_say_is_left_out(comparison):
     found, out = comparison
     assert found.headline.startswith("success at the end: mine 100.0 %, mmc-body 100.0 %")
-    assert "joint work" not in str(found)  # nobody knows the torques
+    assert "joint work" not in str(found)  # the torques are unknown
     assert "within 0.1" in found.note
     returns = found.episodes.loc[found.episodes["agent"] == "mine", "episode_return"]
     assert list(returns) == [-80.0] * 3

@@ -154,7 +154,7 @@ def test_a_zip_with_flipped_bits_is_refused_in_one_line(tmp_path):
     content, random = file.read_bytes(), np.random.default_rng(0)
     for place in random.integers(0, 8 * len(content), 300):
         file.write_bytes(flipped(content, int(place)))
-        with suppress(UserError):  # a flip may hit what nobody reads, such as a date
+        with suppress(UserError):  # a flip may hit what is never read, such as a date
             _ = SavedModel(file).facts
 
 

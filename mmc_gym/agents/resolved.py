@@ -62,7 +62,7 @@ class ResolvedAgent:
     #: its model of stable-baselines3, or the file of one; None if it has none
     model: SavedModel | ModelAgent | None = None
     given: Any = None  #: the function or object itself; None for a name or a model
-    #: the place of this training among several whose files do not tell their seeds
+    #: the place of this training among several whose files do not say their seeds
     number: int | None = None
 
     @cached_property
@@ -248,7 +248,7 @@ def _check_takes_env(given: Any, label: str) -> None:
 
 
 def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
-    """Return why a function does not take arguments; None if it does, or nobody knows."""
+    """Return why a function does not take arguments; None if it does, or if that is unknown."""
     with suppress(ValueError):  # Python does not know its signature
         try:
             inspect.signature(function).bind(*arguments, **more)

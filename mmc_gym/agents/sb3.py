@@ -216,7 +216,7 @@ def _missing(wanted: tuple[str, ...], here: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A zip file of stable-baselines3, with the files beside it.
+    """A zip file of stable-baselines3, with the files of its folder.
 
     These may be the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
     args.yml, config.yml and vecnormalize.pkl.
@@ -317,7 +317,7 @@ class SavedModel:
         found = own or [one for one in pickles if "norm" in one.name.lower()]
         if len(found) > 1:
             raise UserError(
-                f"{self.path} must have one file of VecNormalize beside it, or one called "
+                f"{self.path} must have one file of VecNormalize in its folder, or one called "
                 f"{self.path.stem}_vecnormalize.pkl, got {', '.join(map(str, sorted(found)))}"
             )
         return found[0] if found else None
@@ -333,13 +333,13 @@ class SavedModel:
         _ = self.facts  # read first: it names a missing or wrong file
         if self.statistics is None and self._was_normalized is None:
             message = (
-                f"{self.path} does not tell whether it was trained behind a VecNormalize; if it "
-                "was, save the statistics beside it by env.save('vecnormalize.pkl')"
+                f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
+                "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
             )
             warnings.warn(message, MismatchWarning, stacklevel=2)
         elif self.statistics is None and self._was_normalized:
             raise UserError(
-                f"{self.path} must have the statistics of its VecNormalize beside it, as "
+                f"{self.path} must have the statistics of its VecNormalize in its folder, as "
                 "env.save('vecnormalize.pkl') writes them, got none"
             )
         if not self.allow_pickle:
@@ -366,7 +366,7 @@ class SavedModel:
 
     @property
     def _was_normalized(self) -> bool | None:
-        """Whether it was trained behind `VecNormalize`; None if no readable entry tells it."""
+        """Whether it was trained behind `VecNormalize`; None if no readable entry says so."""
         said = self.recipe.get("normalize")
         if said:
             return re.search(r"norm_obs\W+False", str(said)) is None
@@ -374,7 +374,7 @@ class SavedModel:
             return False
         if "gae_lambda" in self.facts:
             return True
-        # Every off-policy training has this entry, and of these only rl_zoo3's files tell more.
+        # Every off-policy training has this entry, and of these only rl_zoo3's files say more.
         has_recipe = len(self.recipe) > 1
         return False if has_recipe else None
 
@@ -395,7 +395,7 @@ class SavedModel:
         return policy
 
     def _near(self) -> list[Path]:
-        """Return the files beside it, and those of the folder that rl_zoo3 writes beside it."""
+        """Return the files of its folder, and those of the folder that rl_zoo3 writes in it."""
         folder = self.path.parent
         inside = [one.parent for one in folder.glob("*/args.yml")]
         return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]

@@ -196,7 +196,7 @@ def play_episodes(
 
 
 def has_reference(env: gym.Env[Any, Any]) -> bool:
-    """Return whether all hands in `env` meet the same targets at the same times.
+    """Return whether all hands in `env` have the same targets at the same times.
 
     They do not where a target moves on when it is reached, as in via points.  And whether a hand
     alone can succeed: without a success distance only the environment knows.

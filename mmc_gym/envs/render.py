@@ -166,7 +166,7 @@ class Scene:
     segment_angles: Sequence[float]  #: N absolute angles, radians
     target: Place  #: (x, y), segment lengths
     trace: Sequence[Point] = ()  #: position of the hand at each past control step, oldest first
-    path: Sequence[Place] = ()  #: all places of the target; empty if it stands still
+    path: Sequence[Place] = ()  #: all places of the target; empty if it does not move
     ghost: Sequence[float] | None = None  #: N joint angles of an internal model, radians
     steps: int = 0  #: control steps since the reset
     observation: Any = None  #: the last one; it is drawn if the senses are disturbed

@@ -179,7 +179,7 @@ class ReachSetup:
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
         """Return a trial of the task with the options filled in.
 
-        A given target stands still.  Posture and target are always drawn, so that giving one does
+        A given target does not move.  Posture and target are always drawn, so that giving one does
         not change the other.  If drawing fails, the trial of a fixed seed is returned.
         """
         try:

@@ -173,7 +173,7 @@ def learning_of(of: Movements) -> Learning:
     """Return what the subjects of an agent show of learning, (subjects, trials).
 
     The mean of each subject's baseline at each target is subtracted.  Probes in other directions
-    are sorted by direction within their block, since each subject meets them in an own order.  In a
+    are sorted by direction within their block, since each subject has another order.  In a
     force field the unit is the mean deviation in its first trial, and what differs between targets
     is taken out, because the field pushes less in some directions.
     """

@@ -1,4 +1,4 @@
-"""The registry of measures: a decorator declares label, unit and direction beside a function.
+"""The registry of measures: a decorator declares label, unit and direction of a function.
 
 Every registered measure has a column in the data of comparisons and benchmarks.  Their tables and
 the report show it if it is `shown`.  Register your own in the same way:
@@ -46,7 +46,7 @@ OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 
 PEOPLE = "people"  # their name in place of an agent's
 
-# Shown where a unit would stand: how a number without a unit is computed.
+# Shown in place of a unit: how a number without a unit is computed.
 METHODS = ("correlation", "SPARC")
 
 # Names of other columns of the data; no measure may use them.
@@ -82,7 +82,7 @@ class Quantity:
 
     @property
     def full_label(self) -> str:
-        """The label, with the method in brackets where that stands in place of a unit."""
+        """The label, with the method in brackets where that replaces a unit."""
         return f"{self.label} ({self.unit})" if self.unit in METHODS else self.label
 
     def number(self, value: float) -> str:

@@ -2,7 +2,7 @@
 
 A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.
 
-The file needs nothing beside it.  No result is written here: every number is computed from the
+The file is complete in itself.  No result is written here: every number is computed from the
 store.
 """
 
@@ -147,7 +147,7 @@ def _headline(results: Results) -> str:
 
 
 def _learning(results: Results) -> dict[str, str] | None:
-    """Draw the learning curves of the agents in focus, and beside them those of the others.
+    """Draw the learning curves of the agents in focus, and those of the others.
 
     Return None if no agent in focus has one.
     """

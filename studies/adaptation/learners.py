@@ -29,7 +29,7 @@ def simulate_learners(
     noise: float = 0.0,
     seed: int = 0,
 ) -> tuple[Floats, Floats]:
-    """Simulate learners that are `TwoStates`: a reference beside agents, and a test of the fits.
+    """Simulate learners that are `TwoStates`: a reference for agents, and a test of the fits.
 
     Args:
         learner: its parameters.

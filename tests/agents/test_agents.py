@@ -149,7 +149,7 @@ LIMITS = ((-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
 
 @pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS], ("mmc", "ik-dls")))
 def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name):
-    """Nobody searches for ways round: what is not reached is behind one."""
+    """No agent searches for ways round: targets that are missed are behind an obstacle."""
     least = {"mmc-bell": 0.45, "mmc-classical": 0.2, "optimal-control": 0.6}.get(name, 0.7)
     controls = ("joint_delta", "joint_position")
     rates = [success_rate(name, 50, control=one, joint_limits=LIMITS) for one in controls]

@@ -66,7 +66,7 @@ def env():
 
 
 def test_a_model_that_is_trained_further_acts_with_its_present_statistics(env):
-    """Old statistics beside new weights are no policy that ever was."""
+    """Old statistics with new weights are another policy."""
     model = trained(wrap=VecNormalize)
     agent = mmc_gym.make_agent(model, env)
     model.learn(40, reset_num_timesteps=False)
@@ -135,7 +135,9 @@ def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
     inside = run / "MMCReach-v0"
     (inside / "vecnormalize.pkl").unlink()
     (inside / "config.yml").write_text("{frame_stack: 4}")
-    with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
+    with pytest.raises(
+        UserError, match="the statistics of its VecNormalize in its folder"
+    ):
         resolve(str(run)).check()
 
 
@@ -161,7 +163,7 @@ def test_of_several_files_of_statistics_a_model_takes_its_own(folder, steps):
         shutil.copy(folder / "vec_normalize.pkl", copy)
     assert resolve(model).model.statistics == statistics
     statistics.unlink()
-    with pytest.raises(UserError, match="must have one file of VecNormalize beside it"):
+    with pytest.raises(UserError, match="must have one file of VecNormalize in its folder"):
         _ = resolve(model).model.statistics
 
 
@@ -198,7 +200,7 @@ def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env):
 OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
 
 
-@pytest.mark.filterwarnings("ignore:.* does not tell whether it was trained behind a VecNormalize")
+@pytest.mark.filterwarnings("ignore:.* does not say whether it was trained behind a VecNormalize")
 def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, env):
     sac = SAC("MlpPolicy", env, device="cpu", **OFF_POLICY)
     for name, one in {"new": sac, "sac": sac.learn(12), "plain": trained()}.items():
@@ -216,14 +218,14 @@ def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
 
 
 def test_a_file_that_does_not_tell_of_statistics_is_warned_of(tmp_path, env):
-    """Those of off-policy algorithms do not, unless rl_zoo3's files lie beside them."""
+    """Those of off-policy algorithms do not, unless rl_zoo3's files are in the folder."""
 
     def make():
         return mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
 
     envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
     SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
-    with pytest.warns(MismatchWarning, match="does not tell whether it was trained behind a VecN"):
+    with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
         make()
     (tmp_path / "recipe").mkdir()
     (tmp_path / "recipe" / "args.yml").write_text("{env: MMCReach-v0}")

@@ -122,7 +122,7 @@ def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy):
         flipped = bytearray(text)
         flipped[bit // 8] ^= 1 << bit % 8
         copy.write_bytes(flipped)
-        with contextlib.suppress(UserError):  # of bits that nobody reads
+        with contextlib.suppress(UserError):  # of bits that are never read
             assert load_policy(copy)[1] == card
 
 

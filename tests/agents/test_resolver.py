@@ -101,7 +101,7 @@ def test_one_grammar_holds_for_several_trainings_and_labels(folder):
     assert read("runs/mine-*") == mine  # 9 before 10
     assert read("x=runs/mine-*.safetensors")[1] == ("x", 2, "runs/mine-10.safetensors")
     assert resolve("runs/mine-*").source == "runs/mine-9.json"
-    # Their files tell the same seed, so they are counted.
+    # Their files have the same seed, so they are counted.
     assert [seed for _, seed, _ in read("runs/twice-*")] == [0, 1]
     assert [seed for _, seed, _ in read("lr=0.001/*")] == [3]
 

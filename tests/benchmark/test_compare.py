@@ -1,4 +1,4 @@
-"""Comparisons: what all agents meet, the ideal hand beside them, tables, figures and files."""
+"""Comparisons: equal episodes, the ideal hand, tables, figures and files."""
 
 import io
 import json

@@ -182,7 +182,7 @@ def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch
 
 @pytest.mark.parametrize("kind", READ)
 def test_no_flipped_bit_is_taken_for_data(store, kind):
-    """Only bits that nobody reads may be flipped unnoticed."""
+    """Only bits that are never read may be flipped unnoticed."""
     path, read = store / kind / KEY.file_name, READ[kind]
     whole, before = path.read_bytes(), read(store)
     noticed, places = 0, np.random.default_rng(0).integers(len(whole), size=60)

@@ -169,7 +169,7 @@ def test_position_servos_hold_the_arm_against_gravity(engine):
     exact = engine == "analytic"
     assert arm.joint_angles == pytest.approx([0.3, -0.2, 0.1], abs=1e-9 if exact else 1e-4)
     assert arm.joint_velocities == pytest.approx([0.0] * 3, abs=1e-9 if exact else 1e-3)
-    if not exact:  # the analytic engine does not tell its torques
+    if not exact:  # the analytic engine does not return its torques
         along = np.cos(arm.segment_angles)
         torques = [9.81 * along[joint:] @ [2.5, 1.5, 0.5][-3 + joint :] for joint in range(3)]
         assert np.divide(arm.servo_impulses, 0.02) == pytest.approx(torques, rel=0.03)

@@ -72,7 +72,7 @@ def play_both(postures, scale):
             for single in singles.values():
                 single.step()
             assert_equal(arms, singles)
-            assert np.isnan(arms.servo_work).all() == (engine == "analytic")  # which tells none
+            assert np.isnan(arms.servo_work).all() == (engine == "analytic")  # which returns none
         arms.close()
         arms.close()
         arms.step()  # closed arms can be stepped again

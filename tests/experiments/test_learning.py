@@ -138,7 +138,7 @@ def test_where_there_is_nothing_to_see_there_is_no_number(measured, arguments):
     assert np.isnan(measured(*arguments)).all()
 
 
-def test_probes_that_nobody_saw_are_left_out_of_the_width():
+def test_probes_without_a_value_are_left_out_of_the_width():
     curve = 20 * np.exp(-((ROUND - 180) ** 2) / (2 * 60**2))
     blind = np.where(ROUND == 90, np.nan, curve)
     assert generalization_width(blind, ROUND - 180) == pytest.approx(60, rel=1e-3)

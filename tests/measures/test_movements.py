@@ -210,7 +210,7 @@ def test_what_is_unknown_or_empty_has_no_value(measured, arguments):
     assert math.isnan(measured(*arguments))
 
 
-def test_a_hand_that_nobody_saw_succeeded_nowhere_and_has_no_path(make_episode):
+def test_an_unseen_hand_has_neither_success_nor_path(make_episode):
     unseen = make_episode(np.full((11, 2), math.nan), np.zeros((11, 2)))
     values = measure_all(unseen)
     shares = {values.pop(name) for name in ("success", "success_1_percent")}

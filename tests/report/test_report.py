@@ -1,4 +1,4 @@
-"""The report: one file that needs nothing beside it, whose words follow from its figures."""
+"""The report: one file, complete in itself, whose words follow from its figures."""
 
 import json
 import re
@@ -98,7 +98,7 @@ def test_markdown_has_the_tables_and_no_markup_of_the_user(benchmark_store, tmp_
         write_report(benchmark_store, tmp_path / "report.pdf", 20, format="pdf")
 
 
-def test_a_report_where_nobody_ever_arrives(make_store, movers, tmp_path):
+def test_a_report_in_which_no_agent_succeeds(make_store, movers, tmp_path):
     lost = {name: movers["mmc"]._replace(lost=0, duration=900, source="mmc") for name in "ab"}
     make_store(tmp_path, lost, ("random",))
     for file in tmp_path.glob("*/minimum*"):

@@ -74,7 +74,7 @@ def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
     assert one.knowledge.lengths.startswith("not given")
     assert one.knowledge.senses.startswith("all joint angles")
     assert len(one.cards) == 1
-    path.unlink()  # what it is stands in the store
+    path.unlink()  # what it was is in the store
     assert (one.knowledge.kind, one.cards) == ("yours", ())
 
 
