@@ -287,73 +287,63 @@ def _obstacles(count: float) -> Obstacles:
     return Obstacles(FOUR_DISCS[: int(count)])
 
 
-FAMILIES: dict[str, Family] = {
-    one.name: one
-    for one in (  # name, unit, description, default, make
-        Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
-        Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
-        Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
-        Family(
-            "cursor-jump",
-            "% of the way",
-            "cursor jumps across the way by {} % of it",
-            10.0,
-            CursorJump,
-        ),
-        Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
-        Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
-        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
-        Family(
-            "locked",
-            "joint",
-            "joint {} (from the base) locked from the start",
-            2.0,
-            _locked,
-            known=True,
-            whole=True,
-        ),
-        Family(
-            "locks",
-            "joint",
-            "joint {} (from the base) locked after 0.2 s",
-            2.0,
-            _locks,
-            known=True,
-            whole=True,
-        ),
-        Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
-        Family(
-            "joint-noise-speed",
-            "s",
-            "noise of joint angles, {} s of joint speed",
-            0.01,
-            _joint_noise_with_speed,
-        ),
-        Family(
-            "vision-noise",
-            "lengths",
-            "noise of the seen hand and target, {} segment lengths",
-            0.03,
-            VisionNoise,
-        ),
-        Family(
-            "vision-noise-distance",
-            "of distance",
-            "noise of the seen hand and target, {} of their distance",
-            0.05,
-            _vision_noise_with_distance,
-        ),
-        Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
-        Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
-        Family(
-            "gravity",
-            "lengths/s²",
-            "arm hangs in a gravity of {} segment lengths/s²",
-            60.0,
-            Gravity,
-        ),
-    )
-}
+_FAMILIES = (  # name, unit, description, default, make
+    Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
+    Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
+    Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
+    Family(
+        "cursor-jump", "% of the way", "cursor jumps across the way by {} % of it", 10.0, CursorJump
+    ),
+    Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
+    Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
+    Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
+    Family(
+        "locked",
+        "joint",
+        "joint {} (from the base) locked from the start",
+        2.0,
+        _locked,
+        known=True,
+        whole=True,
+    ),
+    Family(
+        "locks",
+        "joint",
+        "joint {} (from the base) locked after 0.2 s",
+        2.0,
+        _locks,
+        known=True,
+        whole=True,
+    ),
+    Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
+    Family(
+        "joint-noise-speed",
+        "s",
+        "noise of joint angles, {} s of joint speed",
+        0.01,
+        _joint_noise_with_speed,
+    ),
+    Family(
+        "vision-noise",
+        "lengths",
+        "noise of the seen hand and target, {} segment lengths",
+        0.03,
+        VisionNoise,
+    ),
+    Family(
+        "vision-noise-distance",
+        "of distance",
+        "noise of the seen hand and target, {} of their distance",
+        0.05,
+        _vision_noise_with_distance,
+    ),
+    Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
+    Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
+    Family(
+        "gravity", "lengths/s²", "arm hangs in a gravity of {} segment lengths/s²", 60.0, Gravity
+    ),
+)
+FAMILIES: dict[str, Family] = {one.name: one for one in _FAMILIES}
 """The families of perturbations by name."""
 
 
@@ -374,20 +364,18 @@ _EIGHT = [k / 8 * math.tau for k in range(8)]
 _CENTRE_OUT = PointToPoint(*outward([0.2], _EIGHT))
 _DISTANCES = PointToPoint(*outward([0.1, 0.2, 0.3, 0.4], _EIGHT))
 
-TASKS: dict[str, TaskEntry] = {
-    one.name: one
-    for one in (
-        TaskEntry("random", RandomTarget(), "random starts and targets"),
-        TaskEntry("paper", _paper_task(), "the paper's 420 movements between 21 targets"),
-        # After Georgopoulos, Kalaska, Caminiti & Massey (1982), J. Neurosci. 2:1527.
-        TaskEntry("centre-out", _CENTRE_OUT, "eight targets around a point"),
-        TaskEntry("distances", _DISTANCES, "eight directions at each of four distances"),
-        TaskEntry("double-step-100", DoubleStep(delay=0.1), "target jumps after 0.1 s"),
-        TaskEntry("double-step-200", DoubleStep(delay=0.2), "target jumps after 0.2 s"),
-        TaskEntry("pursuit", Pursuit(), "target moves along sums of sines"),
-        TaskEntry("via-points", ViaPoints(), "three targets, one after the other"),
-    )
-}
+_TASKS = (
+    TaskEntry("random", RandomTarget(), "random starts and targets"),
+    TaskEntry("paper", _paper_task(), "the paper's 420 movements between 21 targets"),
+    # After Georgopoulos, Kalaska, Caminiti & Massey (1982), J. Neurosci. 2:1527.
+    TaskEntry("centre-out", _CENTRE_OUT, "eight targets around a point"),
+    TaskEntry("distances", _DISTANCES, "eight directions at each of four distances"),
+    TaskEntry("double-step-100", DoubleStep(delay=0.1), "target jumps after 0.1 s"),
+    TaskEntry("double-step-200", DoubleStep(delay=0.2), "target jumps after 0.2 s"),
+    TaskEntry("pursuit", Pursuit(), "target moves along sums of sines"),
+    TaskEntry("via-points", ViaPoints(), "three targets, one after the other"),
+)
+TASKS: dict[str, TaskEntry] = {one.name: one for one in _TASKS}
 """The tasks by name."""
 
 

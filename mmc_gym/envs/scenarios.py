@@ -145,16 +145,6 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class OwnFacts:
-    """What a store needs to know of your own environment."""
-
-    code: str = ""  #: digest of its classes, see `code_of`
-    registered: Mapping[str, Any] = field(default_factory=dict)  #: arguments that its id sets
-    parameters: Mapping[str, Any] | None = None  #: of its interface, if it has one
-    trial_count: int | None = None  #: of its task, if that numbers them
-
-
-@dataclass(frozen=True)
 class OwnEnvironment:
     """An environment that is no scenario of this package: by id, or made by your function."""
 
@@ -162,37 +152,20 @@ class OwnEnvironment:
     env: EnvLike
     arguments: Mapping[str, Any] = field(default_factory=dict)
     interface: Any = None  #: if the environment has none, see `InterfacedEnv`
-    facts: OwnFacts = field(default_factory=OwnFacts)  #: see `inspected`
+    #: its definition for JSON, and the number of its task's trials; of one that is `inspected`
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    trial_count: int | None = None
 
     changes: tuple[Change, ...] = field(default=(), init=False)
     family: str = field(default="", init=False)
-    strength: float | None = field(default=None, init=False)
-    unit: str = field(default="", init=False)
 
     @property
     def description(self) -> str:
         """What it is, in a line."""
         return f"environment {self.name}"
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The definition of the environment for JSON, of one that is `inspected`."""
-        parameters = self.facts.parameters
-        return {
-            "id": name_of(self.env),
-            "kwargs": as_json(self.arguments),
-            "code": self.facts.code,
-            "registered": self.facts.registered,
-            **({} if parameters is None else {"interface": parameters}),
-            "description": self.description,
-            "family": self.family,
-            "strength": self.strength,
-            "unit": self.unit,
-            "baseline": None,
-        }
-
     def inspected(self) -> OwnEnvironment:
-        """Return it with its `facts`, for which it is made once.
+        """Return it with its settings and the number of its trials, for which it is made once.
 
         Raises:
             UserError: if it is no reaching environment, and has no interface.
@@ -202,17 +175,24 @@ class OwnEnvironment:
             accepted = "a reaching environment, or one with an interface"
             require(is_known, "scenario", self.env, accepted)
             setup = getattr(env.unwrapped, "setup", None)
-            facts = OwnFacts(
-                code=code_of(env),
-                registered=as_json(env.spec.kwargs if env.spec else {}),
-                parameters=_parameters(env),
-                trial_count=setup.task.trial_count if setup is not None else None,
-            )
-        return replace(self, facts=facts)
+            settings = {
+                "id": name_of(self.env),
+                "kwargs": self.arguments,
+                "code": code_of(env),
+                "registered": env.spec.kwargs if env.spec else {},
+                **({"interface": env.parameters} if isinstance(env, InterfacedEnv) else {}),
+                "description": self.description,
+                "family": "",
+                "strength": None,
+                "unit": "",
+                "baseline": None,
+            }
+        count = setup.task.trial_count if setup is not None else None
+        return replace(self, settings=as_json(settings), trial_count=count)
 
     def instances(self, episodes: int) -> list[dict[str, Any]]:
         """Return the reset options of all numbered trials, or of `episodes` that are drawn."""
-        return _instances(self.facts.trial_count, episodes)
+        return _instances(self.trial_count, episodes)
 
     def with_arguments(self, **more: Any) -> OwnEnvironment:
         """Return it with more arguments."""
@@ -273,14 +253,6 @@ class OwnEnvironment:
 
 
 Playable: TypeAlias = Scenario | OwnEnvironment
-
-
-def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any] | None:
-    """Return the parameters of an environment's interface for JSON; None without one."""
-    if not isinstance(env, InterfacedEnv):
-        return None
-    found: dict[str, Any] = as_json({"parameters": env.parameters})["parameters"]
-    return found
 
 
 def _instances(trial_count: int | None, episodes: int) -> list[dict[str, Any]]:
