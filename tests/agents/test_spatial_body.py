@@ -31,7 +31,7 @@ LONGER = np.array([0, 0, 0, 0, 0.2, 0, 0, 0.3])
 
 
 class Kinematic(gym.Env):
-    """A Panda that goes where it is asked to, with links longer by shares, and locked joints."""
+    """A Panda that follows its commands, with links longer by shares, and locked joints."""
 
     observation_space = gym.spaces.Box(-np.inf, np.inf, (13,), np.float64)
     action_space = gym.spaces.Box(-1.0, 1.0, (7,), np.float32)

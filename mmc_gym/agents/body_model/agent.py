@@ -66,9 +66,7 @@ class BodyState(NamedTuple):
 class BodyAgent(FeedbackAgent[BodyState]):
     """An agent with an internal model of its body."""
 
-    def __init__(
-        self, interface: ReachInterface, model: InternalModel, parts: Parts = ALL_PARTS
-    ) -> None:
+    def __init__(self, interface: ReachInterface, model: InternalModel, parts: Parts) -> None:
         """Make the agent of an internal model.  It cannot act under torque control."""
         super().__init__(interface)
         self.parts = parts
@@ -127,10 +125,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     def _body(self, state: BodyState) -> Body:
         """Return the body to act on."""
-        best = state.evidence.best
-        if not self.learns:
-            return best
-        return state.memory.body(best, state.evidence.given.lengths, self.parts)
+        best, given = state.evidence.best, state.evidence.given
+        return state.memory.body(best, given.lengths, self.parts) if self.learns else best
 
     def _observe(self, state: BodyState, seen: Seen) -> BodyState:
         """Update what is seen and identified; `start` has entered the first observation already.
@@ -234,8 +230,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             push = 0.0 if interface.has_drive else PUSH
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
-        senses = state.senses.record(command_of(interface, now, joint_targets), interface)
-        return joint_targets, state._replace(senses=senses)
+        command = command_of(interface, now, joint_targets)
+        return joint_targets, state._replace(senses=state.senses.record(command, interface))
 
     def _invert_servos(
         self, state: BodyState, problem: ReachProblem, left: Floats
@@ -252,14 +248,15 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""
-        route, drive, met = state.route, state.drive, state.contacts.met
+        route, drive = state.route, state.drive
         turn = drive.turn(left, route.goal_turn, self.interface)
         if self.parts.vigour < 1:
             return self._human_turn(turn, state, problem, left)
-        if some(met):  # arms that know obstacles keep to the planned route
+        knows_obstacles = state.contacts.located > 0
+        if some(knows_obstacles):  # they keep to the planned route
             now = problem.joint_angles
             straight = drive.straight(route.begin, now, route.next, self.interface)
-            turn = np.where((met > 0)[:, None], straight, turn)
+            turn = np.where(knows_obstacles[:, None], straight, turn)
         return turn, drive
 
     def _human_turn(

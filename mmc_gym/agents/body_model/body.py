@@ -26,15 +26,13 @@ give the parameters of each hypothesis in closed form, and the square error that
 
 for n observations, k free parameters and the square error ε that is negligible.  This is the
 Bayesian information criterion (Schwarz 1978) with a heavier penalty, because neighbouring
-observations are nearly the same.  A turned cursor, or a segment of another length, is mostly
-identified from the first observation, before anything has moved.  The mean error that the best
-hypothesis leaves is added as an offset, unless it is noise.
+observations are nearly the same.  A turned cursor, or one other length, is mostly identified from
+the first observation.  The mean error that is left is added as an offset, unless it is noise.
 
-**Locks.**  While a joint rests, the turns that the servo model expects of its commands are summed
-up.  When the sum is large enough, the joint is taken as locked, and the internal model holds its
-angle.  A locked joint is still pushed, so that a joint that was only held up (by a load, an
-obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts before the arm
-is felt to move, because late senses show an arm at rest.
+**Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
+while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
+load, an obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts
+before the arm is felt to move, because late senses show an arm at rest.
 
 Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist. 6, 461–464.
 """

@@ -1,12 +1,10 @@
 """Imagination: a posture with the hand at the target, from an internal model, before moving.
 
-Several copies of the model start from postures around the present one, and settle with their hand
-at the target.  The nearest posture is chosen: the one whose joints turn least, above all the joint
-that turns farthest.  A redundant arm has many postures for a target, and a single model settles in
-the one to which its own dynamics lead.  MMC networks have been used for planning by internal
+A redundant arm has many postures for a target.  Several copies of the model start from postures
+around the present one, and settle with their hand at the target; joints that are locked, or would
+turn beyond a limit, are held.  The nearest posture is chosen: the one whose joints turn least,
+above all the joint that turns farthest.  MMC networks have been used for planning by internal
 simulation before (Schilling and Cruse 2017).
-
-Joints that are locked, or would turn beyond a limit, are held.
 
 The internal model is the MMC network, or damped least squares for comparison.  The network is the
 paper's, with the learned normalizer and with velocities.  A velocity acts as a momentum, and with

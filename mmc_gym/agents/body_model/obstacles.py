@@ -82,7 +82,7 @@ class Contacts(NamedTuple):
     blow: Floats  # speed recently lost, segment lengths per control step
     rests: Floats  # number of control steps of small r
     still: Floats  # number of control steps in which the arm was at rest, (n,)
-    met: Floats  # number of obstacles so far, (n,)
+    located: Floats  # number of obstacles so far, (n,)
     is_new: Bools  # whether the last observation was a contact, (n,)
 
     @classmethod
@@ -90,7 +90,7 @@ class Contacts(NamedTuple):
         """Return the memory without obstacles."""
         sums, none = np.zeros((arms, joints * len(POINTS))), np.zeros(arms)
         discs = np.full((arms, MOST_DISCS), NOWHERE)
-        return cls(discs, sums, sums, sums, sums, still=none, met=none, is_new=none > 0)
+        return cls(discs, sums, sums, sums, sums, still=none, located=none, is_new=none > 0)
 
     def locate(self, step: LastStep, lengths: Floats, counts: Bools) -> Contacts:
         """Return the memory after a control step of arms that count (`counts`, (n,))."""
@@ -109,16 +109,18 @@ class Contacts(NamedTuple):
         after = after._replace(is_new=is_new)
         if not some(is_new):
             return after
-        arms = np.arange(len(units))
-        normal = 1j * units[arms, point // len(POINTS)] * np.sign(wanted[arms, point])
-        disc = _places(units, lengths)[arms, point] + RADIUS * normal
+        arms, (segment, place) = np.arange(len(units)), np.divmod(point, len(POINTS))
+        segments = lengths * units
+        begin = (np.cumsum(segments, axis=-1) - segments)[arms, segment]
+        normal = 1j * units[arms, segment] * np.sign(wanted[arms, point])
+        disc = begin + POINTS[place] * segments[arms, segment] + RADIUS * normal
         return where(is_new, self._remember(disc)._released()._replace(is_new=is_new), after)
 
     def _released(self) -> Contacts:
         """Return the memory of obstacles with new sums, for arms that nothing holds back."""
         arms, points = self.wanted.shape
         start = self.start(arms, points // len(POINTS))
-        return start._replace(discs=self.discs, met=self.met)
+        return start._replace(discs=self.discs, located=self.located)
 
     def _pressed(
         self, wanted: Floats, actual: Floats, lost: Floats, lacks: Bools, is_still: Bools
@@ -153,18 +155,10 @@ class Contacts(NamedTuple):
         arms, distance = np.arange(len(disc)), np.abs(self.discs - disc[:, None])
         nearest = distance.argmin(axis=-1)
         is_known = distance[arms, nearest] < RADIUS
-        slot = np.where(is_known, nearest, self.met % MOST_DISCS).astype(int)
+        slot = np.where(is_known, nearest, self.located % MOST_DISCS).astype(int)
         discs = self.discs.copy()
         discs[arms, slot] = np.where(is_known, (disc + self.discs[arms, slot]) / 2, disc)
-        return self._replace(discs=discs, met=self.met + ~is_known)
-
-
-def _places(units: Points, lengths: Floats) -> Points:
-    """Return the points along the segments, (n, N · points)."""
-    segments = lengths * units
-    begin = np.cumsum(segments, axis=-1) - segments
-    places: Points = begin[:, :, None] + POINTS * segments[:, :, None]
-    return places.reshape(len(units), -1)
+        return self._replace(discs=discs, located=self.located + ~is_known)
 
 
 def _across(units: Points, lengths: Floats, turn: Floats) -> Floats:
@@ -267,7 +261,7 @@ class RoadMap:
             ahead=np.where(begins, 0, route.ahead),
             begin=np.where(begins[:, None], problem.joint_angles, route.begin),
         )
-        for arm in np.flatnonzero(begins & (contacts.met > 0)):
+        for arm in np.flatnonzero(begins & (contacts.located > 0)):
             discs = contacts.discs[arm]
             ends = self._ends_of_legs(problem.of(np.array([arm])), discs[discs != NOWHERE])
             if ends is not None:
@@ -293,9 +287,8 @@ class RoadMap:
         nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
         one, other = self._legs(nodes, first_via)
         cost = np.full((len(nodes), len(nodes)), np.inf)
-        cost[one, other] = cost[other, one] = leg_costs(
-            self.interface, nodes[one], nodes[other], lengths, discs
-        )
+        leg_cost = leg_costs(self.interface, nodes[one], nodes[other], lengths, discs)
+        cost[one, other] = cost[other, one] = leg_cost
         chosen = _shortest(cost, np.arange(1, first_via))
         if chosen is None:
             return None

@@ -1,13 +1,12 @@
-"""Senses: where the joints and the target are, despite noise, and how late they are seen.
+"""Senses: where the joints and the target are, and how late they are seen.
 
-Noise and delay are not given.  Both are estimated from the observations.
+Noise and delay are estimated from the observations.
 
 **Posture.**  A joint that is seen at q with the speed v, and a control step Δt later with v′, has
-turned by Δt (v + v′)/2, up to an error of Δt |v − v′|/2, because the speed may have changed at any
-time within the step.  An innovation beyond that is noise.  The median of the joints is robust
-to a joint that hits something; for normal noise of variance R its mean square is 0.455 · 2R (0.455
-is the square of the normal median deviation).  A Kalman filter has one variance P for all joints of
-an arm, and Q is the mean square of Δt (v − v′)/2:
+turned by Δt (v + v′)/2, up to an error of Δt |v − v′|/2.  An innovation beyond that is noise.  The
+median of the joints is robust to a joint that hits something; for normal noise of variance R its
+mean square is 0.455 · 2R (0.455 is the square of the normal median deviation).  A Kalman filter has
+one variance P for all joints of an arm, and Q is the mean square of Δt (v − v′)/2:
 
     P ← P + Q,     K = P / (P + R),     q̂ ← q̂ + Δt (v + v′)/2 + K · innovation,     P ← (1 − K) P
 
@@ -22,9 +21,8 @@ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
 
 Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
 
-**Delay.**  It is the time from the first command that should be felt to the first movement that
-is felt.  An old posture is run forward through the commands sent since, by a model of the servos
-(Miall, Weir, Wolpert and Stein 1993).
+**Delay.**  It is the time from the first command that should be felt to the first movement.  An old
+posture is run forward through the commands sent since (Miall, Weir, Wolpert and Stein 1993).
 
 Literature: N. Morrison (1969), Introduction to sequential smoothing and prediction, McGraw-Hill.
 E. Brookner (1998), Tracking and Kalman filtering made easy, Wiley.  R. C. Miall, D. J. Weir,
