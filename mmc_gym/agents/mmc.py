@@ -121,9 +121,9 @@ def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
     target = nearest_reachable(np.moveaxis(held.values[0], 0, -1), lengths)
     bent = leave_line(joint_angles, target, lengths)
     is_stuck = np.asarray((bent != joint_angles).any(axis=-1))
-    return (
-        where(is_stuck, network.state_from_joint_angles(bent), state) if is_stuck.any() else state
-    )
+    if not is_stuck.any():
+        return state
+    return where(is_stuck, network.state_from_joint_angles(bent), state)
 
 
 def classical_mmc(interface: ReachInterface) -> MMCAgent:

@@ -22,7 +22,16 @@ from mmc_gym._errors import (
 
 Servo = Literal["position", "velocity", "torque"]
 _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
-_LONGEST_SUBSTEP, _LARGEST_TORQUE, _MOST_SUBSTEPS = 1.0, 1e30, 10_000
+_MOST_SUBSTEPS = 10_000
+_RANGES = {
+    "speed_limit": (SMALLEST_SIZE, LARGEST_SIZE),
+    "torque_limit": (SMALLEST_SIZE, 1e30),
+    "servo_gain": (SMALLEST_SIZE, LARGEST_SIZE),
+    "segment_radius": (SMALLEST_SIZE, LARGEST_SIZE),
+    "substep": (SMALLEST_SIZE, 1.0),
+    "drive_inertia": (0.0, LARGEST_SIZE),
+    "hand_mass": (0.0, LARGEST_SIZE),
+}
 
 
 class Rod(NamedTuple):
@@ -99,17 +108,9 @@ class ArmParameters:
             is_plain = self.segment_masses is None
             heavier = self._stretched_inertias()[0] / _DEFAULT_INERTIA if is_plain else 1.0
             write("torque_limit", 500.0 * max(1.0, heavier))
-        for name, least, most in (
-            ("speed_limit", SMALLEST_SIZE, LARGEST_SIZE),
-            ("torque_limit", SMALLEST_SIZE, _LARGEST_TORQUE),
-            ("servo_gain", SMALLEST_SIZE, LARGEST_SIZE),
-            ("segment_radius", SMALLEST_SIZE, LARGEST_SIZE),
-            ("substep", SMALLEST_SIZE, _LONGEST_SUBSTEP),
-            ("drive_inertia", 0.0, LARGEST_SIZE),
-            ("hand_mass", 0.0, LARGEST_SIZE),
-        ):
-            require_between(least, most, **{name: (value := getattr(self, name))})
-            write(name, float(value))
+        for name, (least, most) in _RANGES.items():
+            require_between(least, most, **{name: getattr(self, name)})
+            write(name, float(getattr(self, name)))
         require_whole("substeps", self.substeps, most=_MOST_SUBSTEPS)
         accepted = "two finite values (x, y)"
         gravity = require_numbers("gravity", self.gravity, accepted, is_point)
@@ -126,12 +127,12 @@ class ArmParameters:
             write("force_field", field)
         accepted = "discs (x, y, radius), finite, of positive radius"
         write("obstacles", require_rows("obstacles", self.obstacles, accepted, is_disc))
-        accepted, known = f"a tuple of different indices from 0 to {count - 1}", set(range(count))
+        accepted = f"a tuple of different indices from 0 to {count - 1}"
         joints = require_numbers(
             "lockable_joints",
             self.lockable_joints,
             accepted,
-            lambda joints: len(set(joints)) == len(joints) and set(joints) <= known,
+            lambda joints: len(set(joints) & set(range(count))) == len(joints),
         )
         write("lockable_joints", tuple(map(int, joints)))
 
