@@ -135,9 +135,7 @@ def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
     inside = run / "MMCReach-v0"
     (inside / "vecnormalize.pkl").unlink()
     (inside / "config.yml").write_text("{frame_stack: 4}")
-    with pytest.raises(
-        UserError, match="the statistics of its VecNormalize in its folder"
-    ):
+    with pytest.raises(UserError, match="the statistics of its VecNormalize in its folder"):
         resolve(str(run)).check()
 
 
