@@ -34,7 +34,6 @@ DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone pri
 TRACEBACK = "MMC_GYM_TRACEBACK"
 _PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
-_app = tyro.extras.SubcommandApp()
 _commands: dict[str, Callable[..., None]] = {}
 _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
@@ -45,9 +44,8 @@ _WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
     """Register a command under the function's name."""
-    name = function.__name__.rstrip("_")
-    _commands[name] = function
-    return _app.command(name=name)(function)
+    _commands[function.__name__.rstrip("_")] = function
+    return function
 
 
 def _check_words(arguments: list[str]) -> None:
@@ -508,7 +506,9 @@ def _run(arguments: list[str]) -> None:
     config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
     with warnings.catch_warnings():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
-        _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config)
+        tyro.extras.subcommand_cli_from_dict(
+            _commands, prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config
+        )
 
 
 def _open_streams() -> None:
