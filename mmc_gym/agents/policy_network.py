@@ -115,11 +115,6 @@ class _Layer(NamedTuple):
     def named(cls, name: str, tensors: Tensors) -> _Layer:
         return cls(np.asfortranarray(tensors[f"{name}.weight"].T), tensors[f"{name}.bias"])
 
-    def __call__(self, values: Float32) -> Float32:
-        result: Float32 = values @ self.weight
-        result += self.bias
-        return result
-
 
 class PolicyNetwork:
     """A network from `input_size` features through layers of `hidden_units` to an action."""
@@ -173,13 +168,15 @@ class PolicyNetwork:
         sums over a whole batch round differently, and an action would depend on how many there are.
         """
         hidden = features[..., None, :]
-        for layer in self._hidden:
-            hidden = layer(hidden)
+        for weight, bias in self._hidden:
+            hidden = hidden @ weight
+            hidden += bias
             if self.activation == "relu":
                 np.maximum(hidden, 0.0, out=hidden)
             else:
                 np.tanh(hidden, out=hidden)
-        action: Float32 = self._mean(hidden)[..., 0, :]
+        weight, bias = self._mean
+        action: Float32 = (hidden @ weight)[..., 0, :] + bias
         if random is not None:
             noise = random.standard_normal(action.shape, np.float32)
             spread: Float32 = np.exp(self._log_spread(hidden))
@@ -190,7 +187,8 @@ class PolicyNetwork:
         """Return log σ of actions, (..., action_size) or (action_size,)."""
         if self._log_std is None:
             return self.tensors["log_std"]
-        return np.clip(self._log_std(hidden)[..., 0, :], *_LOG_STD_RANGE)
+        weight, bias = self._log_std
+        return np.clip((hidden @ weight)[..., 0, :] + bias, *_LOG_STD_RANGE)
 
 
 @dataclass(frozen=True)

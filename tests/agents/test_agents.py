@@ -258,21 +258,20 @@ def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind_and_other
             assert rate >= (0.4 if name == "mmc-classical" else 0.9)
 
 
-def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own():
-    for name, options, message in (
-        *(
-            (name, {"control": "joint_torque"}, r"control must be .* got 'joint_torque'")
-            for name in ("mmc", "mmc-body", "ik-dls", "minimum-jerk", "optimal-control", "ppo")
-        ),
-        *(
-            (name, {"segment_lengths": (1.0,)}, "env must have two segments or more for MMC, got 1")
-            for name in ("mmc", "mmc-body")
-        ),
-        ("ik-closed-form", {"segment_lengths": (1.0,) * 4}, "must be 1, 2 or 3 .* got 4"),
-        ("ppo", {"segment_lengths": (1.0,) * 2}, "env must have 3 segments for this policy, got 2"),
-    ):
-        with pytest.raises(CannotActError, match=message):
-            make_agent(name, gym.make("MMCReach-v0", **options))
+TORQUE = {"control": "joint_torque"}
+UNFIT = [
+    *((name, TORQUE, "control must be") for name in JOINT_TARGET_AGENTS),
+    ("ppo", TORQUE, "control must be"),
+    *((name, {"segment_lengths": (1.0,)}, "two segments or more") for name in ("mmc", "mmc-body")),
+    ("ik-closed-form", {"segment_lengths": (1.0,) * 4}, "segment_lengths must be 1, 2 or 3"),
+    ("ppo", {"segment_lengths": (1.0,) * 2}, "3 segments"),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "message"), UNFIT)
+def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own(name, options, message):
+    with pytest.raises(CannotActError, match=message):
+        make_agent(name, gym.make("MMCReach-v0", **options))
 
 
 def test_stable_baselines3_evaluates_them():
@@ -304,15 +303,18 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         assert make_agent("mmc-body", envs).interface == interface
 
 
-def test_wrong_arguments_of_agents_are_refused():
-    for make, message in (
-        (lambda it: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
-        (lambda it: MMCAgent(it, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
-        (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
-        (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step must be a whole"),
+@pytest.mark.parametrize(
+    ("make", "argument"),
+    [
+        (lambda it: MMCAgent("env", MMCNetwork()), "interface"),
+        (lambda it: MMCAgent(it, "mmc"), "network"),
+        (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network"),
+        (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step"),
         (lambda it: InverseKinematicsAgent(it, damped_step, 0), "iterations_per_step"),
-        (lambda it: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
-        (lambda it: Parts(vigour=1.5), "vigour must be a number between 0 and 1, got 1.5"),
-    ):
-        with pytest.raises(UserError, match=message):
-            make(ReachInterface.of(gym.make("MMCReach-v0")))
+        (lambda it: Parts(find_locks=True), "did you mean 'finds_locks'"),
+        (lambda it: Parts(vigour=1.5), "vigour"),
+    ],
+)
+def test_wrong_arguments_of_agents_are_refused_by_name(make, argument, env):
+    with pytest.raises(UserError, match=argument):
+        make(ReachInterface.of(env))
