@@ -156,6 +156,7 @@ class HingeArm:
         batch, (joint_nodes, home_nodes) = angles.shape[:-1], self._rule
         nodes = np.broadcast_to(home_nodes, (*batch, *home_nodes.shape)).copy()
         axes, points = np.empty((2, *batch, self.joint_count, 3))
+        # What the next hinge is carried by has moved each point x to turn x + shift.
         turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
         for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
             axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
@@ -197,8 +198,8 @@ class HingeArm:
     def _meet(self, joints: range, near: Floats) -> tuple[Floats, float]:
         """Return the point nearest to some axes, and to `near` where it is free; and its miss."""
         across = np.eye(3) - self.axes[joints, :, None] * self.axes[joints, None, :]
-        ask = np.einsum("nij,nj->i", across, self.points[joints] - near)
-        point = near + np.linalg.pinv(across.sum(axis=0), rcond=1e-6, hermitian=True) @ ask
+        pull = np.einsum("nij,nj->i", across, self.points[joints] - near)
+        point = near + np.linalg.pinv(across.sum(axis=0), rcond=1e-6, hermitian=True) @ pull
         return point, self._misses(joints, point)
 
     def _misses(self, joints: range, point: Floats) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from mmc_gym._errors import UserError, missing, require_choice
 from mmc_gym.geometry import Floats
 
-_MOST = 16 * 2**20  # bytes of a file
+_LARGEST_FILE = 16 * 2**20  # bytes of a file
 
 
 class Chain(NamedTuple):
@@ -79,8 +79,8 @@ def _parse(path: Path) -> Any:
         raise missing("HingeArm.from_urdf", "yourdfpy", "urdf") from error
     if not path.is_file():
         raise FileNotFoundError(path)
-    if path.stat().st_size > _MOST:
-        raise UserError(f"{path} must have at most {_MOST / 2**20:.0f} MiB")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise UserError(f"{path} must have at most {_LARGEST_FILE / 2**20:.0f} MiB")
     strict = etree.XMLParser(resolve_entities=False, load_dtd=False, no_network=True)
     try:
         tree = etree.fromstring(path.read_bytes(), strict).getroottree()
