@@ -228,12 +228,7 @@ class Bootstrap:
         for draws, ours, others in self._sharing(agent, other):
             for begin in range(0, len(ours), at_once):
                 some = slice(begin, begin + at_once)
-                mine, theirs = ours[some, :, None], others[some, None]  # all pairs of policies
-                compared = ~np.isnan(mine) & ~np.isnan(theirs)
-                wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
-                sums = [_weighted_sums(draws, pairs, table) for table in (wins, compared)]
-                with np.errstate(invalid="ignore"):
-                    shares = sums[0] / sums[1]
+                shares = _shares_of_wins(ours[some], others[some], draws, pairs)
                 total += np.nansum(shares, axis=1)
                 counted += (~np.isnan(shares)).sum(axis=1)
         with np.errstate(invalid="ignore"):
@@ -324,6 +319,19 @@ def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) ->
     by_policy = (instances @ columns).reshape(len(instances), -1, policies.shape[1])
     sums: Floats = np.einsum("rep,rp->re", by_policy, policies)
     return sums
+
+
+def _shares_of_wins(ours: Floats, others: Floats, instances: Floats, pairs: Floats) -> Floats:
+    """Return P(X > Y) + ½ P(X = Y) in each resample and environment, (R, environments).
+
+    Scores X and Y are (environments, policies, instances); weights are (R, instances), and of all
+    pairs of policies (R, pairs).  NaN without pairs in which both have a score.
+    """
+    mine, theirs = ours[:, :, None], others[:, None]
+    compared = ~np.isnan(mine) & ~np.isnan(theirs)
+    wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
+    with np.errstate(invalid="ignore"):
+        return _weighted_sums(instances, pairs, wins) / _weighted_sums(instances, pairs, compared)
 
 
 def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Floats:

@@ -252,7 +252,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Return all episodes of the store in a folder; `episodes_file` names the columns.
 
-    The `columns` are read besides agent, training_seed, environment and instance; all if None.
+    Of the columns, read agent, training_seed, environment, instance and `columns`; all if None.
 
     Raises:
         UserError: if there are none, or a file is damaged, missing, or of other settings than the

@@ -38,7 +38,7 @@ class Episode:
     #: Positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and success are
     #: the cursor's.  None where agents see the hand itself.
     cursors: Floats | None = None
-    #: What the environment says of the end, where no tolerance is known (NaN); else None.
+    #: The environment's own word on success, where no tolerance is known (NaN); else None.
     is_success: bool | None = None
 
     def __repr__(self) -> str:
@@ -56,7 +56,7 @@ class Episode:
         return np.asarray(self.targets[0])
 
     @property
-    def target_stands(self) -> bool:
+    def is_target_fixed(self) -> bool:
         """True if the target neither moves nor is replaced by another."""
         return bool((self.targets == self.targets[0]).all())
 

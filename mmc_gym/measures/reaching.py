@@ -100,7 +100,7 @@ def overshoot(episode: Episode) -> float:
 
     NaN where the target moves, or another one follows.
     """
-    return largest_retreat(episode.distances) if episode.target_stands else math.nan
+    return largest_retreat(episode.distances) if episode.is_target_fixed else math.nan
 
 
 @measure(label="jitter at the target", unit="lengths", best="low", decimals=4, successes_only=True)
@@ -151,7 +151,7 @@ def path_ratio(episode: Episode) -> float:
     line is shorter than ε, because the ratio would grow without bound.
     """
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
-    if line < episode.tolerance or not episode.target_stands:
+    if line < episode.tolerance or not episode.is_target_fixed:
         return math.nan
     steps = np.diff(episode.seen_hands, axis=0)
     return float(np.linalg.norm(steps, axis=-1).sum()) / line

@@ -1,9 +1,7 @@
-"""The report of a store: one HTML file, or Markdown, about the agents that were asked about.
+"""The report of a store: one file, HTML or Markdown, about the agents to compare.
 
-A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.
-
-The file is complete in itself.  No result is written here: every number is computed from the
-store.
+A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.  The file is complete
+in itself, and every number in it is computed from the store.
 """
 
 from __future__ import annotations
@@ -74,13 +72,7 @@ def write_report(
 
         experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
     if experiments and not (Path(store) / MANIFEST).exists():
-        known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
-        for name in focus:
-            if name not in known:
-                raise unknown("focus", name, known)
-        names = listed([one.experiment.name for one in experiments])
-        shown: dict[str, Any] = {"title": listed(list(focus) or known)}
-        shown["headline"] = f"Learning over trials in {names}."
+        shown = _titles(experiments, focus)
     else:
         results = read_results(Path(store), resamples, focus)
         focus, shown = results.focus, _of_benchmark(results, format)
@@ -105,6 +97,19 @@ def _render(shown: Mapping[str, Any], format: Format) -> str:
     }
     pages.globals |= {"count": count, "version": version("mmc-gym"), "results": None}
     return pages.get_template(f"report.{format}.j2").render(shown)
+
+
+def _titles(experiments: Sequence[ExperimentResult], focus: Sequence[str]) -> dict[str, Any]:
+    """Return title and headline of a report without a benchmark."""
+    known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
+    for name in focus:
+        if name not in known:
+            raise unknown("focus", name, known)
+    names = listed([one.experiment.name for one in experiments])
+    return {
+        "title": listed(list(focus) or known),
+        "headline": f"Learning over trials in {names}.",
+    }
 
 
 def _of_experiment(result: ExperimentResult, focus: Sequence[str]) -> dict[str, Any]:
@@ -147,10 +152,7 @@ def _headline(results: Results) -> str:
 
 
 def _learning(results: Results) -> dict[str, str] | None:
-    """Draw the learning curves of the agents in focus, and those of the others.
-
-    Return None if no agent in focus has one.
-    """
+    """Draw the learning curves of all agents; return None if no agent in focus has one."""
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
     from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves
