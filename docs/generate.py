@@ -230,12 +230,20 @@ def class_page(kind: type[MMCReachEnv]) -> str:
         "",
         inspect.getdoc(kind) or "",
         "",
+        "## Signature",
+        *code("python", f"{kind.__name__}(", *_defaults(kind), ")"),
         "## Registered as",
         f"`{env_id}`, single (`{spec.entry_point}`) and vector (`{spec.vector_entry_point}`), with "
         f"at most {spec.max_episode_steps} steps in an episode.",
         "",
     ]
     return "\n".join(lines)
+
+
+def _defaults(kind: type[MMCReachEnv]) -> Iterator[str]:
+    """Yield a line of code for each argument of an environment, with its default."""
+    for one in inspect.signature(kind).parameters.values():
+        yield f"    {one.name}={one.default!r},"
 
 
 def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:

@@ -147,7 +147,7 @@ def compare(
         training_steps=steps,
         episodes=table,
         summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
-        env_kwargs=dict(env_kwargs or {}),
+        env_kwargs=dict(scenario.arguments),
         controls={
             agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
         },

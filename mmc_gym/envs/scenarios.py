@@ -264,7 +264,7 @@ def _instances(trial_count: int | None, episodes: int) -> list[dict[str, Any]]:
 # Parsing
 
 
-def parse_scenario(name: str, **arguments: Any) -> Scenario:
+def parse_scenario(name: str, /, **arguments: Any) -> Scenario:
     """Return the scenario of a name: a task, perturbations of any strength, or both.
 
     The name may also be the id of a task.

@@ -360,9 +360,10 @@ class ReachEnvironment:
 
 def _by_name(perturbations: Any) -> Any:
     """Return changes of registered families as their names, which a file can hold."""
-    if not isinstance(perturbations, list | tuple):
-        return perturbations
-    return [one.name if isinstance(one, Change) and one.family else one for one in perturbations]
+    if isinstance(perturbations, list | tuple):
+        return [_by_name(one) for one in perturbations]
+    is_named = isinstance(perturbations, Change) and perturbations.family is not None
+    return perturbations.name if is_named else perturbations
 
 
 def require_finite_numbers(name: str, value: ArrayLike, count: int) -> list[float]:
