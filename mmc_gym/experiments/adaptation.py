@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.experiments.experiment import PlannedTrial
+from mmc_gym.envs.perturbations import ErrorClamp, ForceField
+from mmc_gym.experiments.experiment import PlannedTrial, has
 from mmc_gym.experiments.learning import (
     TWO_STATES,
     correction_gain,
@@ -180,9 +181,9 @@ def learning_of(of: Movements) -> Learning:
     schedule, angles = of.schedule, of.angles
     blocks = np.array([one.block for one in schedule])
     kinds = np.array([one.kind for one in schedule])
-    clamped = np.array([one.is_clamped for one in schedule])
+    clamped = np.array([has(one.condition.perturbations, ErrorClamp) for one in schedule])
     strengths = np.array([one.strength for one in schedule])
-    is_field = any(one.is_field for one in schedule)
+    is_field = any(has(one.condition.perturbations, ForceField) for one in schedule)
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     sign = np.sign(strengths[first].sum())
 

@@ -45,6 +45,7 @@ from mmc_gym.envs.perturbations import (
     ErrorClamp,
     ForceField,
     Noise,
+    Perturbation,
     SensoryDelay,
 )
 from mmc_gym.envs.scenarios import Scenario
@@ -121,7 +122,7 @@ def _explained(cls: Class) -> Class:
     return cls
 
 
-def _has(changes: Sequence[Change], kind: type) -> bool:
+def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
     """Return whether one of the perturbations is of a class."""
     return any(isinstance(one.perturbation, kind) for one in changes)
 
@@ -153,11 +154,11 @@ class Probe:
         """Its kind, which follows from its other fields if it is not given."""
         if self.kind is not None:
             return self.kind
-        if self.target_jump or _has(self.perturbations, CursorJump):
+        if self.target_jump or has(self.perturbations, CursorJump):
             return "jump"
         if self.targets:
             return "transfer"
-        if _has(self.perturbations, ErrorClamp):
+        if has(self.perturbations, ErrorClamp):
             return "clamp"
         return "other" if self.perturbations else "catch"
 
@@ -239,16 +240,6 @@ class PlannedTrial(NamedTuple):
     targets: tuple[float, ...]  #: the directions of which one is met
     rest: float  #: before it, s
 
-    @property
-    def is_clamped(self) -> bool:
-        """Whether the cursor moves in a fixed direction."""
-        return _has(self.condition.perturbations, ErrorClamp)
-
-    @property
-    def is_field(self) -> bool:
-        """Whether a force field pushes the hand."""
-        return _has(self.condition.perturbations, ForceField)
-
 
 @_explained
 @dataclass(frozen=True, repr=False, config=_STRICT)
@@ -279,7 +270,7 @@ class Experiment:
         trials = sum(block.trials for block in self.blocks)
         require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
         strong = (one for one in self._perturbations() if _strength([one]))
-        units = dict.fromkeys(one.unit for one in strong if not _has([one], CursorJump))
+        units = dict.fromkeys(one.unit for one in strong if not has([one], CursorJump))
         accepted = "of one kind, either force fields or turns of the cursor"
         require(len(units) <= 1, "perturbations", [*units], accepted)
 
@@ -322,7 +313,7 @@ class Experiment:
         """The trials in their order, the same for all subjects."""
         planned: list[PlannedTrial] = []
         for index, block in enumerate(self.blocks):
-            plain: Kind = "clamp" if _has(block.perturbations, ErrorClamp) else "plain"
+            plain: Kind = "clamp" if has(block.perturbations, ErrorClamp) else "plain"
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
                 jump = probe.target_jump if probe else 0.0

@@ -46,11 +46,6 @@ class Counter(Agent):
         return state + 1 + rest
 
 
-def still(env):
-    action = np.zeros(3, np.float32)
-    return SimpleNamespace(predict=lambda *_, **__: (action, None))
-
-
 def are_equal(one: ExperimentResult, other: ExperimentResult) -> bool:
     paths = ("hands", "cursors", "targets")
     same = [np.array_equal(getattr(one, name), getattr(other, name)) for name in paths]
@@ -95,20 +90,19 @@ def test_what_an_agent_keeps_is_handed_to_its_next_trial() -> None:
     assert ways[2] > 4 * ways[1]  # after a rest
 
 
-@pytest.mark.parametrize("signature", ["whole", "of the observation alone"])
-def test_any_object_is_asked_what_it_keeps_between_trials(signature) -> None:
-    rests = []
-    action = np.zeros(3, np.float32)
-    predict = (lambda *_, **__: (action, 7)) if signature == "whole" else lambda seen: (action, 7)
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_any_object_plays_subject_by_subject_and_says_what_it_keeps_between_trials(is_whole):
+    rests, action = [], np.zeros(3, np.float32)
+    predict = (lambda *_, **__: (action, 7)) if is_whole else lambda observation: (action, 7)
     own = SimpleNamespace(predict=predict, between_trials=lambda *given: rests.append(given))
-    run_experiment(SHORT, {"own": lambda env: own}, subjects=1, jobs=1)
-    assert rests == [(7, 0.0), (7, 5.0), (7, 0.0), (7, 0.0), (7, 0.0)]
+    run_experiment(SHORT, {"own": lambda env: own}, subjects=2, jobs=1)
+    assert rests == [(7, 0.0), (7, 5.0), (7, 0.0), (7, 0.0), (7, 0.0)] * 2
 
 
 def test_an_agent_that_keeps_nothing_plays_all_trials_at_once_as_one_by_one(monkeypatch) -> None:
-    at_once = run_experiment(SHORT, ["mmc-body"], subjects=2, jobs=1)
+    at_once = run_experiment(SHORT, ["ppo"], subjects=2, jobs=1)
     monkeypatch.setattr(trials, "_TOGETHER", 1)
-    assert are_equal(at_once, run_experiment(SHORT, ["mmc-body"], subjects=2, jobs=1))
+    assert are_equal(at_once, run_experiment(SHORT, ["ppo"], subjects=2, jobs=1))
 
 
 def test_a_memory_can_be_kept_whole() -> None:
@@ -118,11 +112,6 @@ def test_a_memory_can_be_kept_whole() -> None:
     assert not np.array_equal(result.hands[1], result.hands[7])
     with pytest.raises(UserError, match="keep 'ppo'"):
         run_experiment(SHORT, ["mmc"], keep=["ppo"])
-
-
-def test_your_own_object_with_predict_is_played_a_subject_at_a_time() -> None:
-    result = run_experiment(SHORT, {"still": still}, subjects=2, jobs=1)
-    assert np.ptp(result.hands, axis=(0, 1)) == pytest.approx([0, 0], abs=1e-6)
 
 
 def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkeypatch) -> None:
@@ -142,13 +131,12 @@ def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkey
     assert set(stored.trials["agent"]) == {"mmc", "ik-dls"}
 
 
-def test_a_trial_that_ends_before_its_jump_shows_no_correction() -> None:
-    jumps = (Probe("jump left", 2, target_jump=10.0),)
-    for seconds, seen in ((0.06, False), (0.6, True)):
-        block = Block("jumps", 4, targets=(0.0,), probes=jumps)
-        short = Experiment("jumps", (block,), trial_seconds=seconds)
-        measures = run_experiment(short, ["ik-dls"], subjects=1, jobs=1).measures["measure"]
-        assert ({"latency", "gain"} <= set(measures)) == seen
+@pytest.mark.parametrize(("seconds", "seen"), [(0.06, False), (0.6, True)])
+def test_a_trial_that_ends_before_its_jump_shows_no_correction(seconds, seen) -> None:
+    block = Block("jumps", 4, targets=(0.0,), probes=(Probe("left", 2, target_jump=10.0),))
+    experiment = Experiment("jumps", (block,), trial_seconds=seconds)
+    measures = run_experiment(experiment, ["ik-dls"], subjects=1, jobs=1).measures["measure"]
+    assert ({"latency", "gain"} <= set(measures)) == seen
 
 
 def test_a_probe_is_measured_whatever_it_is_called() -> None:
@@ -178,16 +166,21 @@ def test_runs_of_other_settings_overwrite_nothing_and_are_not_mixed(tmp_path, mo
     assert np.array_equal(stored.hands[is_body[0]], slow.hands[is_body[1]])
 
 
-@pytest.mark.parametrize("change", ["seed", "keep", "env_kwargs", "experiment", "source"])
-def test_whatever_differs_is_named(tmp_path: Path, change) -> None:
-    other: dict = {"seed": {"seed": 1}, "keep": {"keep": ["agent"]}}.get(change, {})
-    if change == "env_kwargs":
-        other = {"env_kwargs": {"speed_limit": 5.0}}
-    experiment = replace(SHORT, noise=()) if change == "experiment" else SHORT
-    run_experiment(SHORT, {"agent": "mmc"}, subjects=1, out=tmp_path, jobs=1)
-    source = "ik-dls" if change == "source" else "mmc"
-    run_experiment(experiment, {"agent": source}, subjects=1, out=tmp_path, jobs=1, **other)
-    with pytest.raises(UserError, match=f"got .*{change}.* and "):
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("seed", {"seed": 1}),
+        ("keeps_all", {"keep": ["agent"]}),
+        ("speed_limit", {"env_kwargs": {"speed_limit": 5.0}}),
+        ("experiment.noise", {"experiment": replace(SHORT, noise=())}),
+        ("source", {"agents": {"agent": "ik-dls"}}),
+    ],
+)
+def test_whatever_differs_is_named(tmp_path: Path, name, changed) -> None:
+    usual = {"experiment": SHORT, "agents": {"agent": "mmc"}}
+    for how in (usual, usual | changed):
+        run_experiment(**how, subjects=1, out=tmp_path, jobs=1)
+    with pytest.raises(UserError, match=f"got .*{name} .* and "):
         read_experiments(tmp_path)
 
 
@@ -221,6 +214,9 @@ def test_a_file_that_was_removed_is_named(tmp_path: Path) -> None:
     removed.write_bytes(content)
     assert len(read_experiments(tmp_path)) == 1
     plan = next(tmp_path.glob("trials/mmc--*.json"))
+    plan.write_text("[" * 100_000)
+    with pytest.raises(UserError, match=f"{plan.name} is damaged"):
+        read_experiments(tmp_path)
     plan.unlink()
     with pytest.raises(UserError, match=f"must have its {plan.name}"):
         read_experiments(tmp_path)
