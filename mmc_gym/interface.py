@@ -336,8 +336,10 @@ class ReachInterface:
         def rising(ends: Numbers) -> bool:
             return len(ends) == 2 and -math.inf < ends[0] < ends[1] < math.inf
 
-        lengths = self.segment_lengths
-        require_numbers("segment_lengths", lengths, "positive and finite", positive)
+        require_numbers("segment_lengths", self.segment_lengths, "positive and finite", positive)
+        is_arm = self.arm is None or hasattr(self.arm, "joint_count")
+        require(is_arm, "arm", self.arm, "a HingeArm, or None in the plane")
+        require(isinstance(self.has_drive, bool), "has_drive", self.has_drive, "True or False")
         require_choice("control", self.control, CONTROLS)
         for name in ("speed_limit", "servo_gain", "control_step"):
             require_positive(name, getattr(self, name))
@@ -347,7 +349,8 @@ class ReachInterface:
         if self.joint_limits is not None:
             accepted = f"{count} pairs of finite angles, the lower one first"
             require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
-        fine = all(is_whole(joint) and 0 <= joint < count for joint in self.lockable_joints)
+        joints = self.lockable_joints if np.iterable(self.lockable_joints) else (None,)
+        fine = all(is_whole(joint) and 0 <= joint < count for joint in joints)
         require(fine, "lockable_joints", self.lockable_joints, f"numbers of joints below {count}")
 
     @classmethod

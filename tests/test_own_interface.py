@@ -18,6 +18,7 @@ from mmc_gym.cli import main
 from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 from mmc_gym.report import write_report
+from mmc_gym.robots import HingeArm
 from studies.other_bodies.reacher import BODIES, play
 
 LENGTHS = (1.0, 1.1)
@@ -133,7 +134,7 @@ def test_random_actions_are_drawn_from_the_action_space():
     ("name", "interface", "message"),
     [
         ("ppo", INTERFACE, "DrawerInterface"),  # it reads our observations
-        ("ik-dls", replace(INTERFACE, arm=object()), "in the plane"),
+        ("ik-dls", replace(INTERFACE, arm=HingeArm.named("panda")), "in the plane"),
         *(("mmc", wrong, "interface") for wrong in (3, "nowhere:interface", lambda env: None)),
     ],
 )
@@ -283,6 +284,9 @@ def test_what_an_interface_returns_is_checked(wrong, message, name):
         ("joint_limits", ((-1.0, 1.0), (-np.inf, 1.0))),
         ("joint_limits", ((-1.0, 1.0), (1.0, -1.0))),
         ("lockable_joints", (2,)),
+        ("lockable_joints", 1),
+        ("has_drive", "yes"),
+        ("arm", "panda"),
     ],
 )
 def test_fields_of_an_interface_are_checked_when_it_is_made(field, value):
