@@ -93,7 +93,8 @@ def correction_latency(
     Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
     """
     path = np.asarray(response, dtype=np.float64)
-    if len(path) < 3 or not path.max() >= 0.01 * jump > 0:  # so it is, with NaN
+    is_response = len(path) > 2 and path.max() >= 0.01 * jump > 0  # False with NaN, as the next one
+    if not (is_response and jump_time < len(path) * control_step):
         return math.nan
     accelerations = np.diff(path, 2)  # centred at the times control_step, 2 control_step, …
     accelerations[: max(0, math.ceil(jump_time / control_step) - 1)] = 0.0
@@ -109,11 +110,11 @@ def correction_latency(
 def fit_exponential(curves: Floats) -> Floats:
     """Fit y_n = asymptote + (start − asymptote) e^{−rate n} to each curve, n = 0, 1, ….
 
-    The curves y are (..., trials), and NaNs in them are left out.  Return asymptote and rate,
-    (..., 2).  NaN for fewer than four trials, and if the fit explains less than a fifth of the
+    The curves y are (..., trials); only finite values count.  Return asymptote and rate, (..., 2).
+     NaN for fewer than four trials, and if the fit explains less than a fifth of the
     variance: what has no course has no rate.
     """
-    trials = np.flatnonzero(~np.isnan(curves))
+    trials = np.flatnonzero(np.isfinite(curves))
     known = curves[trials]
     if len(trials) < 4 or np.ptp(known) == 0.0:
         return np.full(2, math.nan)
@@ -197,14 +198,14 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
 def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
 
-    At most 180°, which stands for flat: on a circle nothing is wider.  NaNs in y are left out.
+    At most 180°, which stands for flat: on a circle nothing is wider.  Only finite y count.
 
     y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
     target's direction less the trained one, degrees, (probes,).
 
     Source: Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
     """
-    present = ~np.isnan(adaptation) & ~np.isnan(offsets)
+    present = np.isfinite(adaptation) & np.isfinite(offsets)
     adaptation, offsets = adaptation[present], offsets[present]
     if len(np.unique(offsets)) < 4 or not np.any(adaptation):
         return math.nan

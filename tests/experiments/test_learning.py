@@ -119,6 +119,7 @@ ROUND, UNKNOWN = np.arange(0, 360, 45.0), np.full(60, np.nan)
         (correction_latency, (UNKNOWN, 0.1, 0.2, STEP)),
         (correction_latency, (-ALONG, 0.1, 0.2, STEP)),  # the other way
         (correction_latency, (ALONG, 0.1, 5.0, STEP)),  # ended before the jump
+        (correction_latency, (ALONG, 0.1, np.nan, STEP)),
         (correction_latency, (ALONG, 0.0, 0.2, STEP)),
         (correction_latency, ([], 0.1, 0.2, STEP)),
         (correction_latency, ([0.0, 1.0], 0.1, 0.0, STEP)),
@@ -128,7 +129,9 @@ ROUND, UNKNOWN = np.arange(0, 360, 45.0), np.full(60, np.nan)
         (fit_two_states, (np.ones(60), UNKNOWN)),  # no error is seen
         (fit_two_states, (-ALONG, np.ones(60))),  # away from what would help
         (fit_two_states, (UNKNOWN, np.ones(60))),
+        (fit_exponential, (np.r_[1.0, 2, 3, UNKNOWN, np.inf],)),
         (generalization_width, (UNKNOWN[:8], ROUND)),
+        (generalization_width, (np.full(8, np.inf), ROUND)),
         (generalization_width, (np.r_[1.0, 2, 1, UNKNOWN[:5]], ROUND)),
         (initial_direction, (BELL * [1, 0], [0, 0])),  # a target at the start
         (lateral_deviation, (BELL * [1, 0], [0, 0])),
