@@ -139,6 +139,8 @@ def test_files_have_bounds(tmp_path):
         find_experiment(tmp_path / "mine.yml")
     with pytest.raises(UserError, match=f"of {TRIALS_MOST:,} trials at most"):
         Experiment("long", [Block("all", TRIALS_MOST // 2 + 1)] * 2)
+    with pytest.raises(UserError, match=r"targets .*3600"):
+        Block("all", 5, targets=np.arange(3601) / 20)
     with zipfile.ZipFile(tmp_path / "mine.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", b" " * (300 * 2**20))
     with pytest.raises(UserError, match="data has more than"):

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import yaml
-from annotated_types import Ge, Gt, Le, Lt, MinLen
+from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
@@ -93,8 +93,9 @@ Perturbations = Annotated[
     BeforeValidator(lambda value: (value,) if isinstance(value, str | Change) else value),
 ]
 Learned = Annotated[Perturbations, AfterValidator(_measured)]
-Directions = tuple[
-    Annotated[float, Ge(-360), Lt(360), AfterValidator(lambda turn: turn % 360)], ...
+Directions = Annotated[
+    tuple[Annotated[float, Ge(-360), Lt(360), AfterValidator(lambda turn: turn % 360)], ...],
+    MaxLen(3_600),  # bounds the time to make the environments
 ]
 Word = Annotated[str, MinLen(1)]
 Seconds = Annotated[float, Ge(0), Lt(1000)]
