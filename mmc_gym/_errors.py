@@ -202,7 +202,7 @@ def unknown(
     engine 'pymunck' is not accepted; did you mean 'pymunk'? It may be pymunk or analytic
     """
     known = list(known)
-    *others, last = [*map(str, known), *also]
+    *others, last = [*map(str, known), *also] or ["none, as there are none"]
     choices = f"{', '.join(others)} or {last}" if others else last
     question = _question(guess or nearest(value, known))
     return UserError(f"{name} {shown(value)} is not accepted{question} It may be {choices}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -142,9 +141,12 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     from mmc_gym.experiments.experiment import find_experiment
 
     rows: list[tuple[str, str]] = []
-    with suppress(UserError):
+    try:
         experiment = str(find_experiment(name))
         rows = [("experiment", experiment), ("run it", f"mmc-gym adapt {name}")]
+    except UserError:
+        if name.endswith((".yml", ".yaml")):  # nothing else is in a file
+            raise
     try:
         found = find_scenario(name)
     except UserError:

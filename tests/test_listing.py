@@ -85,3 +85,9 @@ def test_a_scenario_has_a_name_or_an_id(capsys):
     with pytest.raises(UserError, match="'mmc' is not accepted: it is an agent"):
         list(describe("mmc"))
     assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))  # an id is a name
+
+
+def test_what_is_wrong_in_the_file_of_an_experiment_is_said(tmp_path):
+    (tmp_path / "mine.yml").write_text("name: mine\nblocks: [{name: all, trials: 0}]\n")
+    with pytest.raises(UserError, match="trials must be greater than 0"):
+        list(describe(str(tmp_path / "mine.yml")))

@@ -96,6 +96,9 @@ def test_what_lies_beside_the_chain_may_slide_or_close_a_circle(tmp_path):
     assert HingeArm.from_urdf(path, base="a", tip="e").joint_count == 3
     with pytest.raises(UserError, match=r"tree, but joint '.*' of line .* closes a circle"):
         HingeArm.from_urdf(path, base="f", tip="e")
+    path.write_text("<robot/>")
+    with pytest.raises(UserError, match="base 'a' is not accepted"):
+        HingeArm.from_urdf(path, base="a", tip="e")
 
 
 @pytest.mark.slow  # loads robots in pybullet
