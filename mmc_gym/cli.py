@@ -304,6 +304,7 @@ def report(
     focus: Names = (),
     format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
     lengths_in: Unit = "lengths",
+    more: ImportOptions = NO_IMPORTS,
 ) -> None:
     """Write the report of a benchmark or of experiments: one HTML file, complete in itself.
 
@@ -316,6 +317,7 @@ def report(
     """
     from mmc_gym import report
 
+    more.load()
     file = out or store / f"report.{format}"
     report.write_report(store, file, focus=focus, format=format, lengths_in=lengths_in)
     print(f"wrote {file}")

@@ -20,6 +20,7 @@ from mmc_gym.envs.names import FAMILIES
 from mmc_gym.envs.perturbations import Perturbation
 from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.envs.tasks import RandomTarget, Trial
+from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.report import write_report
 
 
@@ -57,6 +58,11 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "bring_your_own.py"
 MY_ARM = """
 gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
              kwargs={"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"})
+"""
+HEAVY = """
+from mmc_gym.envs import Family, register_perturbation
+from mmc_gym.envs.perturbations import Gravity
+register_perturbation(Family("heavy", "length / s²", "{} length / s²", 2.0, Gravity))
 """
 
 
@@ -206,3 +212,17 @@ def test_workers_import_what_the_user_had_imported(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "failed" not in done.stdout
     assert len(read_episodes(tmp_path / "store")) == 4
+
+
+def test_a_report_of_your_own_perturbation_imports_what_defines_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("heavy.py").write_text(HEAVY)
+    exec(HEAVY)
+    mine = Experiment("mine", [Block("base", 8)], noise=["heavy-3"])
+    mmc_gym.run_experiment(mine, "ik-dls", 1, out="store", jobs=1)
+    del FAMILIES["heavy"]
+    with pytest.raises(SystemExit):
+        main(["report", "store"])
+    assert main(["report", "store", "--import", "heavy"]) is None
+    assert Path("store/report.html").is_file()
