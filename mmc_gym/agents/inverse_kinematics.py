@@ -62,6 +62,7 @@ the lowest and highest angle of each joint in radians (None: joints turn freely)
 STRAIGHT = 0.01  #: angle within which an arm is straight, and a target in line with it, radians
 ORIENTATIONS = 90  #: orientations of a sweep, on either side of the target's direction
 
+_LEFT = np.array([-1.0, 1.0])  # (y, x) times this is (x, y) turned left by a right angle
 _TINY = np.finfo(np.float64).tiny
 _SLACK = 1e-9  # radians beyond a limit that count as within
 _FAR = 1e3  # more than any squared distance of postures
@@ -135,7 +136,7 @@ def jacobian(joint_angles: Floats, segment_lengths: SegmentLengths) -> tuple[Flo
     nodes = node_positions(segments_from_joint_angles(joint_angles, segment_lengths))
     hand = nodes[..., -1, :]
     arm = hand[..., None, :] - nodes[..., :-1, :]
-    return hand, np.stack((-arm[..., 1], arm[..., 0]), axis=-2)
+    return hand, np.swapaxes(arm[..., ::-1] * _LEFT, -1, -2)
 
 
 def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats) -> Floats:
