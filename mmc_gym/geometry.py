@@ -6,6 +6,7 @@ Lengths are in segment lengths, angles in radians; arrays have leading batch axe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +49,20 @@ def wrap_angle(angle: Floats) -> Floats:
     [3.141593, 0.0, 3.141593]
     """
     return np.pi - (np.pi - angle) % (2 * np.pi)
+
+
+def turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
+    """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
+def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
+    """Rotate vectors (..., 2) from the first segment's frame into the world frame."""
+    cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
+    turned = np.empty_like(vectors)
+    # np.stack would take four times as long for few arms.
+    turned[..., 0], turned[..., 1] = turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine)
+    return turned
 
 
 def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:

@@ -29,7 +29,7 @@ from mmc_gym._errors import (
     require_positive,
     require_rows,
 )
-from mmc_gym.geometry import Floats, wrap_angle
+from mmc_gym.geometry import Floats, in_the_world, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters, Servo
@@ -249,11 +249,6 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
 def _components(vectors: Any) -> tuple[Any, Any]:
     """Return x and y of vectors (..., 2)."""
     return vectors[..., 0], vectors[..., 1]
-
-
-def turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
-    """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
-    return cosine * x + sine * y, cosine * y - sine * x
 
 
 def relative_speeds(joint_velocities: Any, limit: float) -> Any:
@@ -597,15 +592,6 @@ class InterfacedEnv(gym.Env[Any, Any]):
     @override
     def close(self) -> None:
         self.env.close()
-
-
-def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
-    """Rotate vectors (..., 2) from the first segment's frame into the world frame."""
-    cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
-    turned = np.empty_like(vectors)
-    # np.stack would take four times as long for few arms.
-    turned[..., 0], turned[..., 1] = turned_back(*_components(vectors), cosine, -sine)
-    return turned
 
 
 def read_attribute(env: Any, name: str) -> Any:

@@ -275,14 +275,12 @@ def every(values: NDArray[Any]) -> bool:
     return bool(np.count_nonzero(values) == values.size)
 
 
-HARMLESS = frozenset(
-    {
-        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"),
-        *("RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "RenderCollection"),
-        *("AddWhiteNoise", "ObstructView", "DictInfoToList", "NormalizeReward", "ClipReward"),
-        *("TransformReward", "Monitor", "VecMonitor", "VecCheckNan", "VecVideoRecorder"),
-    }
-)
+_OF_STEPS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"}
+_OF_REWARDS = {"NormalizeReward", "ClipReward", "TransformReward"}
+_OF_RECORDS = {"RecordEpisodeStatistics", "Monitor", "VecMonitor", "VecCheckNan", "DictInfoToList"}
+_OF_FILMS = {"RecordVideo", "VecVideoRecorder", "HumanRendering", "RenderCollection"}
+_OF_PICTURES = {"AddWhiteNoise", "ObstructView"}
+HARMLESS = frozenset(_OF_STEPS | _OF_REWARDS | _OF_RECORDS | _OF_FILMS | _OF_PICTURES)
 """Names of wrappers that leave observations as they are, and what actions do."""
 
 

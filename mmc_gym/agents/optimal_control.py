@@ -52,8 +52,8 @@ from typing_extensions import override
 from mmc_gym._errors import LARGEST_SIZE, require, require_between, require_positive
 from mmc_gym.agents.base import FeedbackAgent
 from mmc_gym.agents.inverse_kinematics import hand_position, jacobian, leave_line
-from mmc_gym.geometry import Floats, nearest_reachable, wrap_angle
-from mmc_gym.interface import ReachInterface, Seen, Sensed, turned_back
+from mmc_gym.geometry import Floats, nearest_reachable, turned_back, wrap_angle
+from mmc_gym.interface import ReachInterface, Seen, Sensed
 
 
 @dataclass(frozen=True)

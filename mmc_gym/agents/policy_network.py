@@ -37,8 +37,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.geometry import wrap_angle
-from mmc_gym.interface import Observation, ObservationLayout, in_the_world, turned_back
+from mmc_gym.geometry import in_the_world, turned_back, wrap_angle
+from mmc_gym.interface import Observation, ObservationLayout
 
 Float32 = NDArray[np.float32]
 Tensors = Mapping[str, Float32]

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.spec import ReachSetup
-from mmc_gym.geometry import reachable_radii
-from mmc_gym.interface import in_the_world
+from mmc_gym.geometry import in_the_world, reachable_radii
 
 Color = tuple[int, int, int]
 Point = tuple[float, float]

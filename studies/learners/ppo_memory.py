@@ -48,7 +48,8 @@ from typing_extensions import override
 from mmc_gym import UserError
 from mmc_gym.agents.policy_network import History, PolicyNetwork
 from mmc_gym.envs.scenarios import Scenario
-from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds, turned_back
+from mmc_gym.geometry import turned_back
+from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_network
 from mmc_gym.training.training import Training, TrainingProgress
