@@ -369,11 +369,11 @@ class RandomAgent(Agent[tuple[np.random.Generator, ...]]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], tuple[np.random.Generator, ...] | None]:
-        shape = (*self._interface.sense(observation).joint_angles.shape[:-1], len(self._low))
-        if not (isinstance(state, tuple) and len(state) == math.prod(shape[:-1]) > 0):
-            check_no_state(state)
-            actions = self._random.uniform(self._low, self._high, shape)
+        batch, size = self._interface.sense(observation).joint_angles.shape[:-1], len(self._low)
+        if isinstance(state, tuple) and len(state) == math.prod(batch) > 0:
+            shares = np.reshape([generator.random(size) for generator in state], (*batch, size))
+            actions = self._low + (self._high - self._low) * shares
         else:
-            drawn = np.reshape([one.random(shape[-1]) for one in state], shape)
-            actions = self._low + (self._high - self._low) * drawn
+            check_no_state(state)
+            actions = self._random.uniform(self._low, self._high, (*batch, size))
         return actions.astype(np.float32), state

@@ -142,8 +142,8 @@ class ResolvedAgent:
         """
         if self.name and self.card is None:
             return None
-        known = getattr(self.card or self.model or self._thing, "control", None)
-        return known if isinstance(known, str) and known in CONTROLS else None
+        control = getattr(self.card or self.model or self._thing, "control", None)
+        return control if isinstance(control, str) and control in CONTROLS else None
 
     @property
     def knowledge(self) -> Knowledge:

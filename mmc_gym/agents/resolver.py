@@ -80,13 +80,15 @@ def resolve_all(
     """
     accepted = "a list of agents, such as ['mmc', 'ppo'], or a mapping"
     require(isinstance(agents, Iterable), "agents", agents, accepted)
+    if isinstance(agents, Mapping):
+        labelled: list[Any] = list(agents.items())
+    else:
+        labelled = [("", agent) for agent in ([agents] if isinstance(agents, str) else agents)]
     found = []
-    listed = [agents] if isinstance(agents, str) else agents
-    pairs: Any = agents.items() if isinstance(agents, Mapping) else (("", one) for one in listed)
-    for label, given in pairs:
+    for label, given in labelled:
         _check_label(label)
-        several = given if isinstance(given, (list, tuple)) else [given]
-        found += _trainings(several, label, allow_pickle, every_training)
+        sources = given if isinstance(given, (list, tuple)) else [given]
+        found += _trainings(sources, label, allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
     for one in found:
@@ -223,10 +225,10 @@ def _unknown(agent: object) -> UserError:
         return UserError(f"agent must be {accepted}, got the environment {agent}")
     kind, _, seed = str(agent).rpartition("-")
     if kind in AGENTS and seed.isdigit():
-        count = AGENTS[kind].training_seeds
-        known = f"{count} are shipped, {kind}-0 to {kind}-{count - 1}"
-        known = known if count else f"{kind} is not trained, so it has no number"
-        return UserError(f"agent {agent!r} is not accepted: {known}")
+        reason = f"{kind} is not trained, so it has no number"
+        if count := AGENTS[kind].training_seeds:
+            reason = f"{count} are shipped, {kind}-0 to {kind}-{count - 1}"
+        return UserError(f"agent {agent!r} is not accepted: {reason}")
     names = [name for name in re.split(r"[,;\s]+", str(agent)) if name]
     if len(names) > 1 and not AGENTS.keys().isdisjoint(names):
         apart = f"separate names, {' '.join(names)} (in Python a list, {names})"
