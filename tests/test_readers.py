@@ -6,6 +6,7 @@ import zipfile
 from contextlib import suppress
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -15,6 +16,7 @@ from mmc_gym._files import YAML_MOST, read_yaml
 from mmc_gym.agents import resolve
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
+from mmc_gym.benchmark import store
 from mmc_gym.benchmark.store import Kept, read_table, to_parquet
 from mmc_gym.experiments import trials
 from mmc_gym.experiments.experiment import TRIALS_MOST, Block, Experiment, find_experiment
@@ -83,6 +85,20 @@ def test_a_parquet_of_another_kind_is_refused_by_name(tmp_path):
     with_settings(file, {})
     with pytest.raises(UserError, match=file.name):
         write_report(tmp_path, tmp_path / "report.html")
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, "3", "[]", '{"settings": 1}', '{"facts": []}'])
+def test_metadata_that_are_no_settings_are_damage(content, tmp_path):
+    file = a_store(tmp_path)
+    table, _ = read_table(file.read_bytes())
+    metadata = {store._CONTENT: content, store._CHECK: store._checksum(table.schema, content)}
+    pq.write_table(table.replace_schema_metadata(metadata), file, write_page_checksum=True)
+    with pytest.raises(UserError, match="is damaged, remove it: its metadata"):
+        write_report(tmp_path, tmp_path / "report.html")
+    cell = tmp_path / "episodes" / file.name  # and it is no cell of a benchmark
+    cell.parent.mkdir()
+    file.rename(cell)
+    assert store.kept_cells(tmp_path) == {}
 
 
 def test_a_hyperparameter_file_imports_no_environment(bait, tmp_path):

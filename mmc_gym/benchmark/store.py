@@ -212,7 +212,13 @@ def _kept_in(schema: pa.Schema) -> Kept:
     content = metadata.get(_CONTENT, b"").decode()
     if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
         raise ValueError("columns and metadata are not those that the benchmark has written")
-    return Kept(**json.loads(content))
+    try:
+        kept = Kept(**json.loads(content))
+    except (TypeError, RecursionError) as error:
+        raise ValueError(f"its metadata are no settings and facts: {error}") from error
+    if not all(isinstance(one, dict) for one in kept):
+        raise ValueError("its metadata are no settings and facts")
+    return kept
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
@@ -245,7 +251,9 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
     found = {}
     for path in _files(folder, EPISODES):
         with suppress(OSError, pa.ArrowException, ValueError):
-            found[path.stem] = _kept_in(pq.read_schema(path))
+            kept = _kept_in(pq.read_schema(path))
+            if {"software", "cpu_seconds"} <= kept.facts.keys():  # else it is no cell
+                found[path.stem] = kept
     return found
 
 

@@ -179,7 +179,7 @@ class Block:
     targets: Annotated[Directions, MinLen(1)] = EIGHT
     probes: tuple[Probe, ...] = ()  #: trials among these in which something else happens
     gradual: bool = False  #: whether perturbations grow, to their strength in the last trial
-    rest: Annotated[float, Ge(0)] = 0.0  #: before the block, s
+    rest: Annotated[float, Ge(0), Lt(math.inf)] = 0.0  #: before the block, s
     go_cue: Seconds = 0.0  #: when the target appears, s after the trial's start; the hand waits
 
     def __post_init__(self) -> None:
