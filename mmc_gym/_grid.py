@@ -45,8 +45,10 @@ _GROWTH_SECONDS = 5.0  # after which we look whether the cluster has more nodes
 class CellError(RuntimeError):
     """A cell of a grid failed; the error that the function raised is the `__cause__`."""
 
-    def __init__(self, index: int, cell: object, reason: str) -> None:
+    def __init__(self, index: int, cell: object, error: BaseException) -> None:
+        reason = f"{type(error).__name__}: {error}"
         super().__init__(f"cell {index}, {shown(cell)}, failed: {reason}")
+        self.__cause__ = error
 
 
 class WorkerDied(RuntimeError):
@@ -103,7 +105,7 @@ def run_grid(
                 try:
                     value = function(cell)
                 except Exception as raised:
-                    raise _failure(index, cell, raised) from raised
+                    raise CellError(index, cell, raised) from raised
                 keep(index, value)
         return results
 
@@ -127,9 +129,9 @@ def run_grid(
                 if error is None:
                     keep(index, value)
                 elif isinstance(error, WorkerDied) and on_failure is not None:
-                    on_failure(index, _failure(index, cells[index], error))
+                    on_failure(index, CellError(index, cells[index], error))
                 else:
-                    failed = failed or _failure(index, cells[index], error)
+                    failed = failed or CellError(index, cells[index], error)
                     waiting.clear()
                     suspects.clear()
     finally:
@@ -167,12 +169,6 @@ def one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _failure(index: int, cell: object, error: BaseException) -> CellError:
-    failed = CellError(index, cell, f"{type(error).__name__}: {error}")
-    failed.__cause__ = error
-    return failed
 
 
 class _Processes:
@@ -269,7 +265,7 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         call = cloudpickle.dumps((function, cell))
         return pickle.dumps(([*IMPORTED], call))
     except Exception as error:
-        raise _failure(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
+        raise CellError(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
 def _work(packed: bytes, sources: str | None = None) -> bytes:

@@ -38,7 +38,7 @@ def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
 
 
 def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, capsys):
-    error = CellError(3, "cell", "ValueError: the first line\nthe second")
+    error = CellError(3, "cell", ValueError("the first line\nthe second"))
     monkeypatch.setattr("mmc_gym.benchmark.runner.benchmark", Mock(side_effect=error))
     with pytest.raises(SystemExit) as stop:
         main(["benchmark"])
