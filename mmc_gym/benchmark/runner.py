@@ -15,7 +15,7 @@ import platform
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -249,31 +249,11 @@ def benchmark(
     settings = {name: _settings(one) for name, one in scenarios.items()}
     store = check_folder(out, "out")
     begun = update_manifest(store, partial(_joined, store, settings, found, episodes, seed))
-    first: dict[str, int | None] = {}  # of each agent the first training keeps paths
-    for one in sorted(found, key=lambda one: one.training_seed or 0):
-        first.setdefault(one.label, one.training_seed)
-    cells = [
-        BenchmarkCell(
-            agent=one,
-            scenario=scenario,
-            episodes=episodes,
-            seed=seed,
-            control=asked,
-            keeps_paths=one.training_seed == first[one.label],
-            measures=own_measures(),
-        )
-        for scenario in scenarios.values()
-        for one in found
-        if not (one.is_reference and scenario.family)  # no perturbation touches it
-    ]
-    missing: list[BenchmarkCell] = []
-    finished: dict[CellKey, NotPlayed | None] = {}
-    for cell in cells:
-        if cell_facts(store, cell.key, cell.settings) is None:
-            missing.append(cell)
-        else:
-            finished[cell.key] = None
-    reused = len(finished)
+    cells = _cells(found, scenarios.values(), episodes, seed, asked)
+    kept = {one.key for one in cells if cell_facts(store, one.key, one.settings) is not None}
+    missing = [one for one in cells if one.key not in kept]
+    finished: dict[CellKey, NotPlayed | None] = dict.fromkeys(kept)
+    reused = len(kept)
     on_progress(Progress(reused, len(cells)))
 
     def keep(index: int, outcome: Outcome) -> None:
@@ -300,6 +280,33 @@ def benchmark(
     finally:
         manifest = update_manifest(store, updated)
     return manifest
+
+
+def _cells(
+    agents: Sequence[ResolvedAgent],
+    scenarios: Iterable[Playable],
+    episodes: int,
+    seed: int,
+    control: str | None,
+) -> list[BenchmarkCell]:
+    """Return a cell for each agent in each scenario."""
+    first: dict[str, int | None] = {}  # of each agent the first training keeps paths
+    for one in sorted(agents, key=lambda one: one.training_seed or 0):
+        first.setdefault(one.label, one.training_seed)
+    return [
+        BenchmarkCell(
+            agent=one,
+            scenario=scenario,
+            episodes=episodes,
+            seed=seed,
+            control=control,
+            keeps_paths=one.training_seed == first[one.label],
+            measures=own_measures(),
+        )
+        for scenario in scenarios
+        for one in agents
+        if not (one.is_reference and scenario.family)  # no perturbation touches it
+    ]
 
 
 def _joined(
