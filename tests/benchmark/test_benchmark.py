@@ -181,7 +181,7 @@ def test_other_settings_and_wrong_arguments_are_refused(store, tmp_path, monkeyp
         play(["mmc"], store, ["random"])
 
 
-def test_who_cannot_act_is_skipped_and_who_raises_anything_else_has_failed(tmp_path, outside):
+def test_an_agent_that_cannot_act_is_skipped_and_one_that_raises_has_failed(tmp_path, outside):
     expected = [
         ("cannot", "skipped", "env is not for me"),
         ("crashing", "failed", "ZeroDivisionError: oh"),
@@ -246,7 +246,7 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside, monkey
     assert (manifest.changed, manifest.reused) == ([], 1)  # one cell of the module
 
 
-def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
+def test_a_store_lists_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
     now = runner.software()
     with monkeypatch.context() as earlier:
         earlier.setattr(runner, "software", lambda: {**now, "numpy": "0.0.1"})
@@ -260,7 +260,7 @@ def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatc
     assert f"numpy {manifest.versions['numpy']}" in said and "python" not in said
 
 
-def test_two_benchmarks_may_go_on_in_one_store(tmp_path):
+def test_two_benchmarks_may_use_one_store_at_once(tmp_path):
     """The second begins and ends while the first is playing."""
 
     def second(progress):
@@ -273,7 +273,7 @@ def test_two_benchmarks_may_go_on_in_one_store(tmp_path):
     assert set(manifest.cpu_seconds) == {"mmc--random", "ik-dls--centre-out"}
 
 
-def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
+def test_without_anything_to_rank_the_reason_is_given(tmp_path, outside, capsys):
     for agents in ([f"x={outside}:crashing"], [f"x={outside}:crashing", REFERENCE]):
         play(agents, tmp_path / "one", ["random", "centre-out"])
         with pytest.raises(UserError, match="x in random, centre-out: ZeroDivisionError: oh"):

@@ -35,7 +35,7 @@ def printed(target):
     return target.file.buffer.getvalue().decode(target.encoding)
 
 
-def test_all_agents_and_an_ideal_hand_beside_them_see_the_same_starts_and_targets(frozen):
+def test_all_agents_and_an_ideal_hand_have_the_same_starts_and_targets(frozen):
     found = compare({"frozen": frozen, "random": "random"}, episodes=5, console=console())
     assert list(found.recorded) == ["frozen", "random", REFERENCE]
     assert found.episodes.groupby("agent")["success"].mean()[REFERENCE] == 1.0
@@ -141,7 +141,7 @@ def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_colum
     assert [axes.get_title() for axes in given.axes[:3]] == titles
 
 
-def test_your_own_agents_stand_first_and_are_compared_with_each_other_one(oracle, frozen):
+def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle, frozen):
     terminal = console(width=300, terminal=True)
     found = compare(["mmc", oracle, "random"], episodes=20, console=terminal)
     assert found.focus == ("Oracle",) and found.agents == ["Oracle", "mmc", "random"]
@@ -195,7 +195,7 @@ def test_agents_that_do_not_fit_and_names_that_the_encoding_lacks_are_no_loss(tm
         ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
     ],
 )
-def test_mistakes_are_told_before_anything_runs(arguments, message, monkeypatch):
+def test_mistakes_are_refused_before_anything_runs(arguments, message, monkeypatch):
     monkeypatch.setattr("mmc_gym.benchmark.compare.play_episodes", None)
     with pytest.raises(ValueError, match=message):
         compare(**arguments)
@@ -215,7 +215,7 @@ def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_epi
         assert math.isnan(found[name])
 
 
-def test_it_starts_and_is_asked_as_the_agents_are_whatever_they_do(env, oracle, frozen):
+def test_the_ideal_hand_does_not_depend_on_what_agents_do(env, oracle, frozen):
     seeds = episode_seeds(0, 5)
     one = minimum_jerk_episodes(run_episodes(oracle, env, seeds))
     other = minimum_jerk_episodes(run_episodes(frozen, env, seeds))

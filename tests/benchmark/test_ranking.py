@@ -64,7 +64,7 @@ def test_a_copy_ties_with_itself():
     assert ranking["training_seeds"].tolist() == [0, 0, 0]
 
 
-def test_nothing_is_said_of_times_that_an_environment_does_not_tell():
+def test_times_that_an_environment_does_not_report_are_left_out():
     timed = [played(agent, "timed", [0.5, NAN, 0.7]) for agent in ("mmc", "other")]
     untold = [played(agent, "untold", [NAN] * 3) for agent in ("mmc", "other")]
     untold[0]["success"] = 1.0

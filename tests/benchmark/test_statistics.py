@@ -211,13 +211,18 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     assert both(values, values, seed=1).estimate("a", "mean") == first
 
 
-def test_agents_that_have_not_met_the_same_are_not_compared():
-    two = rows("a", [[1.0, 2.0]])
-    for frame, message in (
-        (two.drop(columns="instance"), "it lacks .'instance'"),
-        (pd.concat([two, two]), "'instance': 0.* repeatedly"),
-        (pd.concat([two, rows("b", [[1.0]])]), "of 'b', 1 × 2 episodes, got 1"),
-        (two.iloc[:0], "must have rows"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            Bootstrap.of(frame)
+TWO = rows("a", [[1.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (TWO.drop(columns="instance"), "frame must .*'instance'"),
+        (pd.concat([TWO, TWO]), "frame must have each episode once"),
+        (pd.concat([TWO, rows("b", [[1.0]])]), "frame must .*of 'b'"),
+        (TWO.iloc[:0], "frame must have rows"),
+    ],
+)
+def test_a_frame_without_the_same_episodes_for_all_is_refused(frame, message):
+    with pytest.raises(ValueError, match=message):
+        Bootstrap.of(frame)

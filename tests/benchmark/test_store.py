@@ -75,7 +75,7 @@ def test_paths_are_read_back(store, episodes):
     np.testing.assert_array_equal(frame[columns], kept.astype(np.float32))
 
 
-def test_a_cursor_and_a_hand_without_an_arm_are_read_back_beside_others(store, make_episode):
+def test_cursors_and_hands_without_an_arm_are_read_back(store, make_episode):
     hands, no_joints = np.linspace([0.0, 1.0], [2.0, 1.0], 5), np.zeros((5, 0))
     turned = make_episode(hands, [2.0, 2.0], cursors=hands + 1.0, joint_angles=no_joints)
     write(store, KEY._replace(environment="rotation-30"), [turned], FACTS)
@@ -159,7 +159,7 @@ def test_file_names_are_different_and_safe():
         ({"episodes": 5}, "has been changed since the benchmark wrote it: remove it"),
     ],
 )
-def test_a_damaged_manifest_is_told(tmp_path, changes, message):
+def test_a_damaged_manifest_is_refused(tmp_path, changes, message):
     update_manifest(tmp_path, lambda before: MANIFEST)
     assert read_manifest(tmp_path) == MANIFEST
     content = json.dumps(MANIFEST.model_dump() | changes)

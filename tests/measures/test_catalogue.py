@@ -98,19 +98,25 @@ def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypat
         import_modules(["nobody"])
 
 
-def test_values_labels_and_intervals_are_written_as_the_measure_wants():
+@pytest.mark.parametrize(
+    ("name", "value", "number", "unit"),
+    [
+        ("success", 0.975, "97.5", " %"),
+        ("success", 0.0001, "<0.1", " %"),
+        ("final_distance", 0.01234, "0.012", " lengths"),
+        ("sparc", -1.414, "−1.41", ""),
+        ("episode_return", -0.1, "0", ""),
+        ("time_to_target", math.nan, "–", ""),
+    ],
+)
+def test_a_value_is_written_with_the_unit_and_decimals_of_its_measure(name, value, number, unit):
+    one = MEASURES[name]
+    assert (one.number(value), one.quantity(value)) == (number, number + unit)
+
+
+def test_shown_measures_are_few_with_short_labels_and_intervals_are_written_alike():
     shown = catalogue.shown_measures()
     assert 8 <= len(shown) <= 14 and max(len(one.label) for one in shown) <= 20
-    for name, value, number, quantity in (
-        ("success", 0.975, "97.5", "97.5 %"),
-        ("success", 0.0001, "<0.1", "<0.1 %"),
-        ("final_distance", 0.01234, "0.012", "0.012 lengths"),
-        ("sparc", -1.414, "−1.41", "−1.41"),
-        ("episode_return", -0.1, "0", "0"),
-        ("time_to_target", math.nan, "–", "–"),
-    ):
-        one = MEASURES[name]
-        assert (one.number(value), one.quantity(value)) == (number, quantity)
     success = MEASURES["success"]
     assert success.interval(0.5, 0.975) == "[50.0, 97.5]"
     assert success.interval(math.nan, math.nan) == ""
@@ -186,7 +192,7 @@ def test_what_an_episode_does_not_have_is_not_measured(make_episode):
     assert "action_time" in missing(still[:1])  # there were no steps
 
 
-def test_who_never_arrives_wins_no_measure_of_how_it_moves(make_episode):
+def test_a_hand_that_never_arrives_has_no_measure_of_how_it_moves(make_episode):
     line = np.linspace([0.0, 0.0], [1.0, 0.0], 51)
     stays = np.zeros((51, 2))
     episodes = {"arrives": make_episode(line, line[-1]), "stays": make_episode(stays, line[-1])}

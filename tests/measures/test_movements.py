@@ -85,7 +85,7 @@ def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(
         ([[0, 0], [1, 0]], [[1, 0], [2, 0]], math.nan),  # the target moves
     ],
 )
-def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, target, ratio):
+def test_path_ratio_is_over_the_line_to_a_fixed_target(make_episode, hands, target, ratio):
     found = reaching.path_ratio(make_episode(hands, target))
     assert found == pytest.approx(ratio, nan_ok=True)
 
@@ -146,7 +146,7 @@ def bell(steps):
         ([], 0),
     ],
 )
-def test_peaks_are_rises_that_stand_out(profile, peaks):
+def test_peaks_rise_by_a_twentieth_of_the_highest(profile, peaks):
     assert speed.count_peaks(profile) == speed.count_peaks(1e-3 * np.asarray(profile)) == peaks
 
 

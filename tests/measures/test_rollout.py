@@ -195,23 +195,23 @@ def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
 VECTOR = gym.make_vec("MMCReach-v0", num_envs=2)
 
 
-def test_wrong_arguments_are_refused():
-    for arguments, message in (
-        ({"agent": "mmc"}, "agent must be an object with predict, .*, got 'mmc'"),
-        ({"agent": says(None)}, r"what predict returns must be a pair \(action, state\), got None"),
-        ({"env": "MMCReach-v0"}, "env must be an environment, .*, got 'MMCReach-v0'"),
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"agent": "mmc"}, "agent must be .*'mmc'"),
+        ({"agent": says(None)}, "what predict returns must be .* got None"),
+        ({"env": "MMCReach-v0"}, "env must be .*'MMCReach-v0'"),
         ({"env": gym.make("CartPole-v1")}, r"CartPole-v1.*info\['distance'\].*control_step.*reach"),
-        ({"seeds": [-1]}, r"seeds must be whole numbers of at least 0, .*, got \[-1\]"),
-        ({"options": [{}, {}]}, r"options must be a list of 1 mappings, .*, got \[{}, {}\]"),
-        ({"env": VECTOR, "seeds": [0, 1]}, r"actions must have shape \(2, 3\), got \(3,\)"),
+        ({"seeds": [-1]}, r"seeds must be .*\[-1\]"),
+        ({"options": [{}, {}]}, r"options must be .*\[{}, {}\]"),
+        ({"env": VECTOR, "seeds": [0, 1]}, r"actions must have shape \(2, 3\)"),
         ({"env": VECTOR, "seeds": [0, 1, 2]}, "env must have 3 arms"),
-        ({"env": MMCReachVectorEnv(1, max_episode_steps=None)}, "with a time limit"),
-        ({"env": MMCReachVectorEnv(1, autoreset_mode="SameStep")}, "got SameStep"),
-        (
-            {"env": gym.make_vec("MMCReach-v0", 1, vectorization_mode="sync")},
-            "a native vector environment",
-        ),
-    ):
-        given = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
-        with pytest.raises(UserError, match=message):
-            run_episodes(**{**given, **arguments})
+        ({"env": MMCReachVectorEnv(1, max_episode_steps=None)}, "env must .*a time limit"),
+        ({"env": MMCReachVectorEnv(1, autoreset_mode="SameStep")}, "env must .*SameStep"),
+        ({"env": gym.make_vec("MMCReach-v0", 1, vectorization_mode="sync")}, "env must .*native"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    given = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
+    with pytest.raises(UserError, match=message):
+        run_episodes(**{**given, **arguments})

@@ -86,7 +86,7 @@ def screenshot(browser, keep):
     return take
 
 
-def test_nothing_is_logged_and_nothing_asked_of_a_network(page, screenshot):
+def test_nothing_is_logged_and_nothing_loaded_from_a_network(page, screenshot):
     messages = [entry for entry in page.get_log("browser") if entry["level"] != "INFO"]
     assert messages == []
     asked = [line["message"] for line in page.get_log("performance")]

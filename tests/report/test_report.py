@@ -49,7 +49,7 @@ def page(text):
     return Page(text)
 
 
-def test_the_file_is_well_formed_and_needs_nothing_beside_it(page, text):
+def test_the_file_is_well_formed_and_complete_in_itself(page, text):
     assert not re.search(r'<[^<>]* (src|href)="(?!#|data:)', text)
     assert not re.search(r"@import|url\(|fetch\(|XMLHttpRequest", text)
     assert len(text) < 5_000_000
@@ -70,15 +70,15 @@ def test_the_report_is_about_the_users_own_agent_from_its_first_line(text):
     assert text.count("<script") == 2
 
 
-def test_there_is_no_section_without_something_in_it(page, text):
+def test_empty_sections_are_left_out(page, text):
     assert set(page.ids) >= {"good", "scenarios", "fails", "replay-section", "given", "measures"}
-    assert not set(page.ids) & {"laws", "learning"}  # no set measures, no card of the own agent
+    assert not set(page.ids) & {"learning"}  # no card of the own agent
     assert "<img" not in text
     captions = re.findall("<figcaption>(.*?)</figcaption>", text, re.DOTALL)
     assert len(captions) >= 3 and all(captions)
 
 
-def test_the_learning_curve_of_a_focus_stands_beside_those_of_others(make_store, tmp_path):
+def test_an_agent_in_focus_with_a_learning_curve_has_a_figure(make_store, tmp_path):
     make_store(tmp_path, ["mmc", "ppo"], ("random",))
     page = write_report(tmp_path, tmp_path / "a.html", 20, focus="ppo").read_text()
     assert page.count("<img") == page.count('alt="Success during training') == 1
@@ -199,7 +199,7 @@ def test_a_store_of_experiments_has_a_report_of_them(experiments, tmp_path):
         write_report(experiments, file, focus=["ik-dsl"])
 
 
-def test_experiments_stand_beside_the_benchmark_of_their_store(experiments, make_store, tmp_path):
+def test_a_report_has_benchmark_and_experiments_of_a_store(experiments, make_store, tmp_path):
     make_store(tmp_path, ["mmc"], ("random",), instances=5)
     report = write_report(tmp_path, tmp_path / "report.html")
     assert "Learning over trials" not in report.read_text(encoding="utf-8")

@@ -46,7 +46,7 @@ def policies(*sources, steps=None):
         ([], "", "yours", "unknown"),
     ],
 )
-def test_who_an_agent_is_follows_from_what_it_was_made_of(sources, name, kind, lengths):
+def test_the_kind_of_an_agent_follows_from_its_sources(sources, name, kind, lengths):
     one = identify(policies(*sources))
     assert (one.name, one.knowledge.kind, one.knowledge.lengths) == (name, kind, lengths)
     assert [card.file_stem for card in one.cards] == (sources if name == "ppo" else [])
@@ -107,7 +107,7 @@ def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manife
     assert 'id="replay-section"' not in text and "Where it fails" in text
 
 
-def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_path):
+def test_an_agent_that_failed_everywhere_is_ranked(small, tmp_path):
     next((small / "episodes").glob("ik-dls*")).unlink()
     key = CellKey("ik-dls", None, "random")
     failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
@@ -124,7 +124,7 @@ def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_pat
         read_results(small)
 
 
-def test_the_focus_are_the_agents_asked_for_or_your_own_or_the_first(make_store, movers, tmp_path):
+def test_the_focus_is_as_given_or_your_own_agents_or_the_first(make_store, movers, tmp_path):
     agents = {name: movers[name] for name in ("ik-dls", "mmc")}
     make_store(tmp_path / "none", agents, ("random",))
     assert read_results(tmp_path / "none", 20).focus == ("ik-dls",)
@@ -136,7 +136,7 @@ def test_the_focus_are_the_agents_asked_for_or_your_own_or_the_first(make_store,
     assert results.agents[-1] == REFERENCE
 
 
-def test_settings_are_said_for_each_scenario_where_they_differ(make_store, tmp_path):
+def test_settings_name_the_scenarios_where_they_differ(make_store, tmp_path):
     other = {"tolerance": 3.0, "segment_lengths": [1, 2], "kwargs": {"gravity": [0, -9]}}
     make_store(tmp_path, ["mmc"], ("random", "centre-out", "delay-100"), worlds={"random": other})
     assert read_results(tmp_path, 20).settings == [
