@@ -14,7 +14,7 @@ import inspect
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -73,7 +73,7 @@ def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
     for change in changes:
         one = change.perturbation
         turns = isinstance(one, Cursor) and change.unit == "°"
-        if not (turns or isinstance(one, ForceField | CursorJump | Noise | SensoryDelay)):
+        if not (turns or isinstance(one, ForceField | CursorJump) or _is_of_senses(change)):
             raise UserError(
                 "must be rotation, clamp, force-field or cursor-jump, which have a measure of "
                 f"learning, or noise or delay; {change.name} may hold in all trials (noise)"
@@ -128,10 +128,8 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
     return any(isinstance(one.perturbation, kind) for one in changes)
 
 
-def _strength(changes: Sequence[Change]) -> float:
-    """Return the strength of the last perturbation that is not of the senses; 0 without one."""
-    learned = [one for one in changes if not isinstance(one.perturbation, Noise | SensoryDelay)]
-    return (learned[-1].strength or 0.0) if learned else 0.0
+def _is_of_senses(change: Change) -> bool:
+    return isinstance(change.perturbation, Noise | SensoryDelay)
 
 
 @_explained
@@ -171,7 +169,7 @@ class Block:
 
     name: Word  #: of the phase, such as "baseline" or "washout"
     trials: Annotated[int, Gt(0), Le(TRIALS_MOST)]  #: how many
-    #: names, such as "rotation-30", or `Change`s: rotation, clamp, force-field and cursor-jump, of
+    #: by name, such as "rotation-30", or as a `Change`: rotation, clamp, force-field, cursor-jump, of
     #: which learning is measured, and what disturbs the senses
     perturbations: Learned = ()
     #: directions from the start; each subject has another order, with all of them before one
@@ -263,24 +261,22 @@ class Experiment:
     noise: Perturbations = ()  #: perturbations of all trials, such as noise of the senses
     #: of agents that have one (`body_model.parts.Parts`); 0 as people move
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
-
     #: in `EXPERIMENTS`, for people's figures of such an experiment; empty for your own
     family: str = ""
 
     def __post_init__(self) -> None:
         trials = sum(block.trials for block in self.blocks)
         require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
-        strong = (one for one in self._perturbations() if _strength([one]))
-        units = dict.fromkeys(one.unit for one in strong if not has([one], CursorJump))
+        strong = (one for one in self._learned() if one.strength and not has([one], CursorJump))
+        units = dict.fromkeys(one.unit for one in strong)
         accepted = "of one kind, either force fields or turns of the cursor"
         require(len(units) <= 1, "perturbations", [*units], accepted)
 
-    def _perturbations(self) -> Iterator[Change]:
-        """Yield the perturbations of all blocks and probes."""
-        for block in self.blocks:
-            yield from block.perturbations
-            for probe in block.probes:
-                yield from probe.perturbations
+    def _learned(self) -> list[Change]:
+        """Return the perturbations of blocks and probes that are not of the senses."""
+        parts: list[Block | Probe] = [*self.blocks]
+        parts += [probe for block in self.blocks for probe in block.probes]
+        return [one for part in parts for one in part.perturbations if not _is_of_senses(one)]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -317,6 +313,7 @@ class Experiment:
             plain: Kind = "clamp" if has(block.perturbations, ErrorClamp) else "plain"
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
+                learned = [one for one in reversed(changes) if not _is_of_senses(one)]
                 jump = probe.target_jump if probe else 0.0
                 planned.append(
                     PlannedTrial(
@@ -324,7 +321,7 @@ class Experiment:
                         block=index,
                         phase=block.name,
                         condition=Condition(changes, block.go_cue, jump),
-                        strength=_strength(changes),
+                        strength=next((one.strength or 0.0 for one in learned), 0.0),
                         probe=probe.name if probe else "",
                         kind=probe.measured_as if probe else plain,
                         targets=(probe and probe.targets) or block.targets,
@@ -357,7 +354,7 @@ class Experiment:
             pause = f"{block.rest:g} s rest, " if block.rest else ""
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
-        units = dict.fromkeys(one.unit for one in self._perturbations())
+        units = dict.fromkeys(one.unit for one in self._learned())
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
 
