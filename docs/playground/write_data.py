@@ -160,7 +160,9 @@ def _body_case(random: np.random.Generator, lengths: tuple[float, ...]) -> dict[
     count, arm = len(lengths), ArmParameters()
     stretched = _stretched_inertia(lengths)
     torque = arm.torque_limit * stretched / _stretched_inertia(arm.segment_lengths)
-    simulated = make_arm("pymunk", ArmParameters(lengths, torque_limit=torque), "position")
+    simulated = make_arm(
+        "pymunk", ArmParameters(segment_lengths=lengths, torque_limit=torque), "position"
+    )
     start = random.uniform(-1, 1, count)
     simulated.reset(start)
     goals = start + np.cumsum(random.uniform(-0.5, 0.5, (8, count)), axis=0)
