@@ -169,8 +169,8 @@ class Block:
 
     name: Word  #: of the phase, such as "baseline" or "washout"
     trials: Annotated[int, Gt(0), Le(TRIALS_MOST)]  #: how many
-    #: by name, such as "rotation-30", or as a `Change`: rotation, clamp, force-field, cursor-jump, of
-    #: which learning is measured, and what disturbs the senses
+    #: by name, such as "rotation-30", or as a `Change`: rotation, clamp, force-field, cursor-jump,
+    #: of which learning is measured, and what disturbs the senses
     perturbations: Learned = ()
     #: directions from the start; each subject has another order, with all of them before one
     #: is repeated
