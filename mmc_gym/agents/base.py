@@ -1,6 +1,6 @@
 """The base of all agents: the signature of `predict`, and the way from observation to action.
 
-An agent sees only observations; besides, it is given a `ReachInterface`.
+An agent sees only observations, and is given a `ReachInterface`.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Knowledge:
 UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
 
 REFERENCE = "minimum jerk (ideal)"
-"""The name of the ideal hand, which plays without an arm, beside the agents."""
+"""The name of the ideal hand, which plays without an arm, for comparison with agents."""
 
 IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 

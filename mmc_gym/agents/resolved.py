@@ -116,7 +116,7 @@ class ResolvedAgent:
 
     @property
     def source_name(self) -> str:
-        """Its source; or for functions and objects a name that stands for it."""
+        """Its source; for functions and objects, a name in its place."""
         return self.source or f"given:{self.label}"
 
     @property

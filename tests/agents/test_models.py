@@ -165,7 +165,7 @@ def test_of_several_files_of_statistics_a_model_takes_its_own(folder, steps):
         _ = resolve(model).model.statistics
 
 
-def test_missing_wrappers_are_told(env):
+def test_missing_wrappers_are_warned_of_or_refused(env):
     class Noisy(gym.ObservationWrapper):
         def observation(self, observation):
             return observation
@@ -236,7 +236,7 @@ def test_a_file_that_does_not_tell_of_statistics_is_warned_of(tmp_path, env):
         make()  # known to be not normalized, and the control mode is that of the recipe
 
 
-def test_another_arm_and_other_observations_are_told(env):
+def test_another_arm_is_warned_of_and_other_observations_are_refused(env):
     with pytest.warns(MismatchWarning, match="segment_lengths .*2.0.* in training"):
         mmc_gym.make_agent(trained(segment_lengths=(1, 1, 2)), env)
     for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):

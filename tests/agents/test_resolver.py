@@ -184,18 +184,19 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
         resolve_all([agent])
 
 
-def test_agents_that_cannot_stand_beside_each_other_are_refused():
-    for agents, message in (
+@pytest.mark.parametrize(
+    ("agents", "message"),
+    [
         ([], "agents must be one or more"),
-        (3, "agents must be a list of agents"),
-        ({"x": []}, "at least one training, got none of 'x'"),
-        ({3: "mmc"}, "the label of an agent must be a text"),
-        ({"é" * 60: "mmc"}, "the label of an agent must be a text of at most 100 characters"),
-        (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
-        (["x=ppo", "x=ppo-3"], "got x repeatedly"),
-    ):
-        with pytest.raises(UserError, match=message):
-            resolve_all(agents)
+        (3, "agents must be a list"),
+        ({"x": []}, "at least one training"),
+        *((labels, "the label of an agent") for labels in ({3: "mmc"}, {"é" * 60: "mmc"})),
+        *((twice, "different names") for twice in (["mmc", "mmc"], ["x=ppo", "x=ppo-3"])),
+    ],
+)
+def test_lists_of_agents_that_do_not_go_together_are_refused(agents, message):
+    with pytest.raises(UserError, match=message):
+        resolve_all(agents)
 
 
 CODE = ("agents/mmc.py", "network/model.py", "robots/arm.py", "interface.py", "geometry.py")
