@@ -13,9 +13,11 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmc_gym.envs import render
+from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import REPLAYED_INSTANCES, Results
 
 _SIDE_BY_SIDE = 4  # agents shown at first
@@ -53,49 +55,52 @@ def replay(results: Results) -> dict[str, Any]:
 
 
 def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
-    here = results.paths[results.paths["environment"] == environment]
+    """Return target and movements of each episode that is shown, failures of the focus first."""
+    paths = results.paths[results.paths["environment"] == environment]
     failed: dict[int, list[str]] = {}
     for agent in results.focus:
         for instance in results.replayed_failures(agent, environment):
             failed.setdefault(instance, []).append(agent)
-    instances = sorted(here["instance"].unique(), key=lambda one: (one not in failed, one))
+    instances = sorted(paths["instance"].unique(), key=lambda one: (one not in failed, one))
     instances = instances[: max(REPLAYED_INSTANCES, len(failed))]
-    here = here[here["instance"].isin(instances)].sort_values("step", kind="stable")
-    numbers = here.drop(columns=["agent", "environment"])
-    columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
+    steps = _steps_of_first_trainings(paths[paths["instance"].isin(instances)])
     lengths = results.environments[environment].segment_lengths
-    movements: dict[int, dict[str, Any]] = {}
-    targets: dict[int, NDArray[np.float64]] = {}
-    groups: Any = here.groupby(["instance", "agent"], observed=True).indices
-    for (instance, agent), rows in groups.items():
-        seed = np.nan_to_num(columns["training_seed"][rows])
-        mine = rows[seed == seed.min()]
-        steps = {name: values[mine] for name, values in columns.items()}
-        movements.setdefault(instance, {})[agent] = _movement(steps, lengths)
-        own = _points(steps, "target")
-        if instance not in targets or len(own) > len(targets[instance]):
-            targets[instance] = own
     scenes = []
     for instance in instances:
-        target = targets[instance]
+        played = {agent: steps[instance, agent] for number, agent in steps if number == instance}
+        target = max((_points(one, "target") for one in played.values()), key=len)
         shown = target if np.ptp(target, axis=0).max() > 0 else target[:1]
-        there = movements[instance]
+        agents = [agent for agent in results.replayed if agent in played]
         scenes.append(
             {
                 "instance": int(instance) + 1,
                 "failed": failed.get(instance, []),
                 "target": [_compact(column) for column in shown.T],
-                "agents": {agent: there[agent] for agent in results.replayed if agent in there},
+                "agents": {agent: _movement(played[agent], lengths) for agent in agents},
             }
         )
     return scenes
 
 
-def _points(steps: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
+def _steps_of_first_trainings(paths: pd.DataFrame) -> dict[tuple[int, str], dict[str, Floats]]:
+    """Return the columns of each agent's lowest training seed, by instance and agent."""
+    paths = paths.sort_values("step", kind="stable")
+    numbers = paths.drop(columns=["agent", "environment"])
+    columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
+    found = {}
+    groups: Any = paths.groupby(["instance", "agent"], observed=True).indices
+    for key, rows in groups.items():
+        seeds = np.nan_to_num(columns["training_seed"][rows])
+        first = rows[seeds == seeds.min()]
+        found[key] = {name: values[first] for name, values in columns.items()}
+    return found
+
+
+def _points(steps: Mapping[str, Floats], name: str) -> Floats:
     return np.stack([steps[f"{name}_x"], steps[f"{name}_y"]], axis=-1)
 
 
-def _movement(steps: Mapping[str, NDArray[np.float64]], given: Sequence[float]) -> dict[str, Any]:
+def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, Any]:
     hand, cursor, target = (_points(steps, name) for name in ("hand", "cursor", "target"))
     joints = [values for name, values in steps.items() if name.startswith("joint_angle_")]
     angles = np.array(joints).reshape(-1, len(hand)).T
@@ -113,9 +118,7 @@ def _movement(steps: Mapping[str, NDArray[np.float64]], given: Sequence[float]) 
     return movement
 
 
-def _lengths(
-    angles: NDArray[np.float64], hand: NDArray[np.float64], given: Sequence[float]
-) -> list[float]:
+def _lengths(angles: Floats, hand: Floats, given: Sequence[float]) -> list[float]:
     """Return the segment lengths, nearest to the given, that put the end of the arm at the hand.
 
     The body may have other segment lengths than agents are given.
