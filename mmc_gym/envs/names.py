@@ -12,7 +12,7 @@ Any strength is accepted; a name without one has the family's default (`force-fi
 same seeds draw the same starts and targets.
 
 A name is parsed once, where a user or a file gives it; from there on values travel, a `TaskEntry`
-and `Change`s.  Names are looked up, and nothing is imported for them.
+and one or more of `Change`.  Names are looked up, and nothing is imported for them.
 """
 
 from __future__ import annotations
