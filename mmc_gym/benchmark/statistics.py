@@ -36,6 +36,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -243,13 +244,12 @@ class Bootstrap:
     def _varies(self, agent: str) -> bool:
         """Return False if all values of an agent are of one policy at one instance."""
         known = [~np.isnan(table) for table in self.scores.values[agent]]
-        policies = np.any([table.any(axis=1) for table in known], axis=0).sum()
-        instances = {  # environments with as many instances share their draw
-            (table.shape[1], instance)
-            for table in known
-            for instance in np.flatnonzero(table.any(axis=0)).tolist()
-        }
-        return not policies == len(instances) == 1
+        if np.any([table.any(axis=1) for table in known], axis=0).sum() > 1:
+            return True
+        # Environments with as many instances share their draw.
+        found = [(table.shape[1], table.any(axis=0)) for table in known if table.any()]
+        drawn = [(count, np.flatnonzero(has_value).tolist()) for count, has_value in found]
+        return any(len(one[1]) > 1 or one != drawn[0] for one in drawn)
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and of each agent the tables whose environments share it.
@@ -344,7 +344,9 @@ def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Flo
     order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
     if not len(order):
         return np.full(counts.shape[1], np.nan)
-    ends = np.cumsum(counts[order], axis=0, dtype=counts.dtype)
+    ends = counts[order]
+    for before, row in pairwise(ends):  # a third of the time of `cumsum` over rows
+        row += before
     whole = ends[-1]
     halves = (whole + 1) // 2, (whole + 2) // 2
     lower, upper = ((ends < half).sum(axis=0, dtype=counts.dtype) for half in halves)
