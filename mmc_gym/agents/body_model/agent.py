@@ -171,8 +171,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
             return state
         counts = step.is_clear & ~state.locks.is_locked.any(axis=-1)
         contacts = state.contacts.locate(step, self._body(state).lengths, counts)
-        strength = np.where(contacts.is_new[:, None], STRONGEST, state.drive.acceleration)
-        return state._replace(contacts=contacts, drive=state.drive._replace(acceleration=strength))
+        drive = state.drive
+        if some(contacts.is_new):
+            strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
+            drive = drive._replace(acceleration=strength)
+        return state._replace(contacts=contacts, drive=drive)
 
     def _identify_body(self, state: BodyState, seen: Seen) -> BodyState:
         if not self.parts.identifies_body:
@@ -209,9 +212,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         is_next_leg = route.ahead < state.route.ahead
         is_new = is_new | is_next_leg
         aim = np.where(is_new, problem.aim, route.aim)
-        follows = state.senses.target.is_moving & ~is_new & (route.ahead == 0)
-        goal_turn = np.zeros_like(goal)
-        if some(follows):
+        goal_turn, is_moving = np.zeros_like(goal), state.senses.target.is_moving
+        if some(is_moving):
+            follows = is_moving & ~is_new & (route.ahead == 0)
             turn = self.interface.turn(state.route.goal, route.goal)
             goal_turn = np.where(follows[:, None], turn, goal_turn)
         begins = begins | is_next_leg
@@ -252,11 +255,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
         turn = drive.turn(left, route.goal_turn, self.interface)
         if self.parts.vigour < 1:
             return self._human_turn(turn, state, problem, left)
-        knows_obstacles = state.contacts.located > 0
-        if some(knows_obstacles):  # they keep to the planned route
+        located = state.contacts.located[:, None]
+        if some(located):  # arms that know obstacles keep to the planned route
             now = problem.joint_angles
             straight = drive.straight(route.begin, now, route.next, self.interface)
-            turn = np.where(knows_obstacles[:, None], straight, turn)
+            turn = np.where(located > 0, straight, turn)
         return turn, drive
 
     def _human_turn(
