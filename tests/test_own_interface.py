@@ -296,8 +296,9 @@ def test_fields_of_an_interface_are_checked_when_it_is_made(field, value):
 
 def test_an_interface_is_refused_for_scenarios_of_this_package(tmp_path):
     refused = partial(pytest.raises, UserError, match="interface must be left out")
-    with refused():
-        compare("ik-dls", "rotation-30", interface=INTERFACE)
+    for env in ("rotation-30", "MMCReach-v0"):
+        with refused():
+            compare("ik-dls", env, interface=INTERFACE)
     with refused():
         benchmark("ik-dls", tmp_path, "rotation-30", interface=INTERFACE)
 

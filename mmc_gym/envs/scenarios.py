@@ -292,9 +292,11 @@ def parse_environment(
     arguments = arguments or {}
     if isinstance(env, Scenario | OwnEnvironment):
         return env.with_arguments(**arguments)
-    if not _is_name(env):
-        return OwnEnvironment(name_of(env), env, arguments, interface)
-    found = parse_scenario(str(env), **arguments)
+    found: Playable
+    if _is_name(env):
+        found = parse_scenario(str(env), **arguments)
+    else:
+        found = OwnEnvironment(name_of(env), env, arguments, interface)
     refuse_interface(interface, found)
     return found
 
@@ -312,8 +314,8 @@ def _is_name(env: object) -> bool:
 
 
 def refuse_interface(interface: Any, *played: Playable) -> None:
-    """Raise a `UserError` if there is an interface for scenarios, which have their own."""
-    shipped = [one.name for one in played if isinstance(one, Scenario)]
+    """Raise a `UserError` if there is an interface for scenarios or ids, which have their own."""
+    shipped = [one.name for one in played if isinstance(one, Scenario) or one._is_ours]
     if interface is not None and shipped:
         names = ", ".join(shipped[:3]) + ", …" * (len(shipped) > 3)
         raise UserError(f"interface must be left out for scenarios of this package, got {names}")
