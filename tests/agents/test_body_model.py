@@ -14,6 +14,7 @@ from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
+from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
@@ -242,16 +243,16 @@ def success(played):
 
 
 @pytest.mark.parametrize(
-    ("build", "parts", "perturbation"),
+    ("build", "parts", "perturbation", "least"),
     [
-        (ik_body, Parts(imagines=False, drives=False), "longer-20"),
-        (ik_body, ALL_PARTS, "obstacles-2"),
-        (ik_body, ALL_PARTS, "delay-200"),
-        (mmc_body, Parts(vigour=0.0), "locked-2"),
+        (ik_body, Parts(imagines=False, drives=False), "longer-20", 1.0),
+        (ik_body, ALL_PARTS, "obstacles-2", 0.8),
+        (ik_body, ALL_PARTS, "delay-200", 0.9),
+        (mmc_body, Parts(vigour=0.0), "locked-2", 0.9),
     ],
 )
-def test_most_arms_reach_their_target(build, parts, perturbation):
-    assert success(episodes(build, 10, parts, perturbations=perturbation)) >= 0.8
+def test_most_arms_reach_their_target(build, parts, perturbation, least):
+    assert success(episodes(build, 10, parts, perturbations=perturbation)) >= least
 
 
 @cache
@@ -328,3 +329,18 @@ def test_without_vigour_the_hand_moves_as_people_do(perturbations, single_peaks)
     assert success(played) >= 0.99
     assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
     assert np.mean([velocity_peaks(one) == 1 for one in played]) >= single_peaks
+
+
+def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
+    random = np.random.default_rng(0)
+    angles, speeds = random.uniform(-2, 2, (2, 40, 3))
+    noisy = random.normal(0, 0.05, (40, 3))
+    after = angles + 0.01 * (speeds + speeds[::-1])
+    start = PostureTrack.start(angles, speeds)
+    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], STEP)
+    alone = PostureTrack.start(angles[:1], speeds[:1]).filter(after[:1], speeds[-1:], STEP)
+    np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
+    aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
+    is_within = np.abs(aims) < 2.9
+    assert not is_within.all()
+    np.testing.assert_array_equal(within_reach(aims, lengths)[is_within], aims[is_within])
