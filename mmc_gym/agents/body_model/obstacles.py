@@ -94,12 +94,13 @@ class Contacts(NamedTuple):
 
     def locate(self, step: LastStep, lengths: Floats, counts: Bools) -> Contacts:
         """Return the memory after a control step of arms that count (`counts`, (n,))."""
-        turn, units = step.after.turn, unit_vectors(step.after.joint_angles)
+        turn = step.after.turn
         lack = np.abs(step.commanded - turn).max(axis=-1)
         lacks = (lack > LACKED_TURN) & counts
         is_still = (lack > LACKED_AT_REST) & (np.abs(turn).max(axis=-1) < HELD_TURN) & counts
         if not some(lacks | is_still):
             return self._released() if some(self.wanted) or some(self.is_new) else self
+        units = unit_vectors(step.after.joint_angles)
         wanted = _across(units, lengths, step.commanded)
         actual = _across(units, lengths, turn)
         lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(wanted)
