@@ -197,10 +197,8 @@ def most_likely(sums: Points, given: Floats) -> Body:
         body = Body(lengths, turn, np.zeros((), complex))
         shift = is_shifted * (hand_sum - body.seen(unit_sum)) / count
         bodies.append(body._replace(shift=shift))
-        back = (turn.conj()[..., None] * h).real
-        own = (_product(g, lengths) * lengths).sum(axis=-1)
-        square_error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
-        criterion = count * np.log((square_error + EXACT) / (count + 1))
+        error = np.maximum(_square_errors(body, g, h, s), 0.0)
+        criterion = count * np.log((error + EXACT) / (count + 1))
         penalty = PENALTY + 2 * np.log1p(count)
         criterion += (parameters + 2 * is_shifted)[:, None] * penalty
         ratio = lengths / given
@@ -208,6 +206,13 @@ def most_likely(sums: Points, given: Floats) -> Body:
         criteria.append(np.where(is_absurd, np.inf, criterion))
     best, arms = np.concatenate(criteria).argmin(axis=0), np.arange(len(sums))
     return Body(*(np.concatenate(fields)[best, arms] for fields in zip(*bodies, strict=True)))
+
+
+def _square_errors(body: Body, g: Floats, h: Points, s: Floats) -> Floats:
+    """Return S of hypotheses, (H, n), see above."""
+    back = (body.turn.conj()[..., None] * h).real
+    own: Floats = (_product(g, body.lengths) * body.lengths).sum(axis=-1)
+    return s - 2 * (back * body.lengths).sum(axis=-1) + own
 
 
 class Locks(NamedTuple):
@@ -228,27 +233,38 @@ class Locks(NamedTuple):
     def identify(
         self, step: LastStep, lockable: tuple[int, ...] = (), vigour: float = 1.0
     ) -> Locks:
-        """Return the locks after a control step, among `lockable` joints if these are given.
+        """Return the locks after a control step.
 
-        Turns count once arms are felt to move.  At a lower `vigour` a smaller turn is enough.
+        Args:
+            step: of n arms.
+            lockable: the joints that can lock, if they are given; empty: any joint can.
+            vigour: see `Parts`.
         """
-        noise, seen = step.after.deviation, step.after.joint_angles
-        tolerance = REST_TURN + 3 * noise
-        away = np.abs(seen - self.place)
-        moves = away > tolerance + REST_SHARE * np.abs(self.commanded)
+        seen, noise = step.after.joint_angles, step.after.deviation
+        away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
+        moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
         moves |= np.abs(step.after.speeds) > REST_SPEED + REST_SPEED_PER_NOISE * noise
-        freed = self.is_locked & (away > 2 * tolerance + FREED_AT)
-        was_wrong = self.was_wrong | freed
-        counts = ~moves & ~freed & (step.is_felt[:, None] | (step.after.age > FELT_BY))
-        commanded = np.where(counts, self.commanded + step.commanded, 0.0)
-        least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
-        least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
-        enough = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
-        holds = counts & (np.abs(commanded) > enough)
+        is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
+        was_wrong = self.was_wrong | is_freed
+
+        is_arm_felt = step.is_felt[:, None] | (step.after.age > FELT_BY)
+        rests = ~moves & ~is_freed & is_arm_felt
+        commanded = np.where(rests, self.commanded + step.commanded, 0.0)
+        locks = rests & (np.abs(commanded) > _locking_turn(noise, was_wrong, lockable, vigour))
         if lockable:
-            holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
-        stays = self.is_locked & ~freed
-        is_locked = stays | holds
-        place = np.where(moves | holds, seen, self.place)
-        place = np.where(stays, self.place + PLACE_RATE * (seen - self.place), place)
+            locks[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
+
+        stays_locked = self.is_locked & ~is_freed
+        is_locked = stays_locked | locks
+        place = np.where(moves | locks, seen, self.place)
+        place = np.where(stays_locked, self.place + PLACE_RATE * (seen - self.place), place)
         return Locks(place, commanded, is_locked, is_locked != self.is_locked, was_wrong)
+
+
+def _locking_turn(
+    noise: Floats, was_wrong: Bools, lockable: tuple[int, ...], vigour: float
+) -> Floats:
+    """Return the commanded turn from which a resting joint is taken as locked, (n, N), radians."""
+    least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
+    least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
+    return (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
