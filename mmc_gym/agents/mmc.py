@@ -74,7 +74,7 @@ class MMCAgent(NetworkAgent[MMCState]):
     def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
         network, count = self.network, self.iterations_per_step
         clamps = network.inverse(sensed.target)
-        state = out_of_line(network, state, clamps)
+        state = bend_where_stuck(network, state, clamps)
         if self.interface.joint_limits is None:
             state = network.run(state, clamps, count)
         else:
@@ -108,18 +108,18 @@ def run_within_limits(
     return state
 
 
-def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
-    """Return networks, bent a little if they could not get to their targets.
+def bend_where_stuck(network: MMCNetwork, state: MMCState, clamps: Clamps) -> MMCState:
+    """Return the state, with those arms bent a little that could not move to their targets.
 
-    An arm gets into such a dead end (see `leave_line`) only with a new target.  So `held`, the
-    clamp of the end effector, is first compared with the last one.
+    See `leave_line`.  The `clamps` hold the end effector alone.  They are first compared with the
+    last ones, because arms are only stuck at a new target.
     """
-    (row,), lengths = held.rows, network.segment_lengths
-    if held.values.tobytes() == state.values[row].tobytes():
+    (hand_row,) = clamps.rows
+    (hand,) = clamps.values  # (2, ...)
+    if hand.tobytes() == state.values[hand_row].tobytes():
         return state
-    joint_angles = state.joint_angles
-    target = nearest_reachable(np.moveaxis(held.values[0], 0, -1), lengths)
-    bent = leave_line(joint_angles, target, lengths)
+    joint_angles, lengths = state.joint_angles, network.segment_lengths
+    bent = leave_line(joint_angles, nearest_reachable(np.moveaxis(hand, 0, -1), lengths), lengths)
     is_stuck = np.asarray((bent != joint_angles).any(axis=-1))
     if not is_stuck.any():
         return state
@@ -196,7 +196,7 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         arm, iterations = state.arm, self.iterations_per_step
         hand = arm.segments.sum(axis=-2)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
-        arm = out_of_line(self.network, arm, self.network.inverse(movement.target))
+        arm = bend_where_stuck(self.network, arm, self.network.inverse(movement.target))
         for iteration in range(1, iterations + 1):
             elapsed = iterations * movement.elapsed + iteration
             way = share(elapsed, iterations * movement.duration)

@@ -187,7 +187,7 @@ class TorchNetwork(torch.nn.Module):
             raise UserError(f"clamps must have batch axes that fit, got {shapes}") from error
         values = begin.expand(*batch, -1, -1).movedim((-2, -1), (0, 1))
         held = {row: value.expand(*batch, -1).movedim(-1, 0) for row, value in held.items()}
-        values = self._out_of_line(values, held)
+        values = self._bend_where_stuck(values, held)
         values = torch.stack([held.get(row, one) for row, one in enumerate(values.unbind())])
         flat = values.view(self.row_count, 2, prod(batch))
         rows = [row in held for row in range(self.row_count)]
@@ -210,7 +210,7 @@ class TorchNetwork(torch.nn.Module):
         normalized = torch.where(is_held[start:end], segments, normalized)
         return torch.cat([values[:start], normalized, values[end:]])
 
-    def _out_of_line(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
+    def _bend_where_stuck(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
         """Return states (rows, 2, ...), bent where they could never leave the line they lie in."""
         count, hand = self.segment_count, len(self.triangles) - 1
         if hand not in held:

@@ -320,7 +320,7 @@ class MMCNetwork:
                 got = held.shape[2:]
                 raise UserError(f"clamps must have batch axes {accepted}, got {got}") from error
             values, held = _broadcast(values, batch), _broadcast(held, batch)
-        values = self._out_of_line(values, clamps.rows, held).copy()
+        values = self._bend_where_stuck(values, clamps.rows, held).copy()
         for row, vectors in zip(clamps.rows, held):
             values[row] = vectors
         return MMCState(values, self.segment_count)
@@ -373,7 +373,7 @@ class MMCNetwork:
         blocks = (self.schedule == "delayed") + (self.dynamics != "kinematic")
         return count * (count + 1) // 2 + count * blocks
 
-    def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
+    def _bend_where_stuck(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
         """Return states (rows, axes, ...), bent where they could never leave the line they lie in.
 
         Only states with a new target are examined.

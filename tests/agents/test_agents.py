@@ -17,7 +17,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_step
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
+from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
 from mmc_gym.agents.policy import shipped_file
 from mmc_gym.envs.names import FAMILIES
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
@@ -139,7 +139,7 @@ def test_of_a_batch_of_networks_only_those_that_are_stuck_are_bent():
     postures = [straight, straight, straight, [0.0, 0.1, 0.0], [0.5, 1.0, 0.5]]
     targets = [[2.0, 0.0], [2.0, 1.0], [3.0, 0.0], [2.0, 0.0], [2.0, 0.0]]
     state = network.state_from_joint_angles(postures)
-    after = out_of_line(network, state, network.inverse(targets))
+    after = bend_where_stuck(network, state, network.inverse(targets))
     is_bent = (after.values != state.values).any(axis=(0, 1))
     np.testing.assert_array_equal(is_bent, [True, False, False, False, False])
 
