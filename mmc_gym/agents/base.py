@@ -287,14 +287,14 @@ HARMLESS = frozenset(_OF_STEPS | _OF_REWARDS | _OF_RECORDS | _OF_FILMS | _OF_PIC
 def wrappers_of(env: Any) -> list[Any]:
     """Return the wrappers around an environment, the outermost first.
 
-    Those around the first environment of a vector follow, as far as it can be reached.
+    Of a vector, those around its first environment follow, if that runs in this process.
     """
     found = []
     while env is not None:
         if hasattr(env, "venv") or isinstance(env, (gym.Wrapper, VectorWrapper)):
             found.append(env)
             env = env.venv if hasattr(env, "venv") else env.env
-        else:
+        else:  # a vector with its environments, or the innermost environment
             env = next(iter(getattr(env, "envs", ())), None)
     return found
 

@@ -35,28 +35,32 @@ class Knowledge:
     senses: str = "posture once, at the start; the target in every step"  #: what it looks at
 
 
-UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
+UNKNOWN = Knowledge("yours", lengths="unknown", actions="unknown", senses="unknown")
 
 REFERENCE = "minimum jerk (ideal)"
 """The name of the ideal hand, which plays without an arm, for comparison with agents."""
 
-IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
+IDEAL = Knowledge("ideal", lengths="has no arm", actions="has no arm", senses="start and target")
 
 
 def learned_knowledge(
     view: View, base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
 ) -> Knowledge:
-    """Return what a trained policy of this view is given and senses.
+    """Return what a trained policy is given and senses.
 
-    It may correct a `base_agent`, and remember its last steps (`memory`).
+    Args:
+        view: what it observes.
+        base_agent: the agent whose actions it corrects; empty without one.
+        kind: "yours" for one that does not ship with the package.
+        memory: number of the last steps that it remembers.
     """
     senses = f"{VIEWS[view]}, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
-    if not base_agent:
-        unaware = "not given: had to learn"
-        return Knowledge(kind, unaware, unaware, senses)
-    given = f"given to {base_agent}, which it corrects"
-    return Knowledge(kind, given, given, f"{senses}; and what {base_agent} proposes")
+    given = "not given: had to learn"
+    if base_agent:
+        given = f"given to {base_agent}, which it corrects"
+        senses += f"; and what {base_agent} proposes"
+    return Knowledge(kind, lengths=given, actions=given, senses=senses)
 
 
 @dataclass(frozen=True)
