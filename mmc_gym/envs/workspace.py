@@ -118,8 +118,7 @@ class Workspace:
         is raised if none is found.
         """
         for _ in range(_MOST_TARGETS):
-            hand = self._draw_hand(random, posture)
-            target = hand if self.cursor is None else self.cursor.cursor(*hand, hand)
+            target = self._target_of(*self._draw_hand(random, posture))
             if self.contains(target):
                 return target
         raise self._no_target()
@@ -141,7 +140,7 @@ class Workspace:
         return is_free and (cursor is None or cursor.centre == (0.0, 0.0))
 
     def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
-        """Draw joint angles, (k, N), and targets, (k, 2), from k generators, where `is_ring`.
+        """Draw joint angles, (k, N), and targets, (k, 2), from k generators; requires `is_ring`.
 
         They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
         """
@@ -150,14 +149,16 @@ class Workspace:
         for random, row in zip(randoms, draws, strict=True):
             random.random(out=row)
         postures = -math.pi + math.tau * draws[:, :count]
-        least = self.inner**2
-        radii = np.sqrt(least + (self.outer**2 - least) * draws[:, count])
+        inner_square = self.inner**2
+        radii = np.sqrt(inner_square + (self.outer**2 - inner_square) * draws[:, count])
         angles = (-math.pi + math.tau * draws[:, count + 1]).tolist()
         # Not numpy's cosine, which may differ in the last bit.
-        targets = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
-        if self.cursor is not None:
-            targets = self.cursor.cursor(*targets, targets)
-        return postures, np.stack(targets, axis=-1)
+        x, y = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
+        return postures, np.stack(self._target_of(x, y), axis=-1)
+
+    def _target_of(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the target that a hand at (x, y) reaches: where it is, or where its cursor is."""
+        return (x, y) if self.cursor is None else self.cursor.cursor(x, y, (x, y))
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:
