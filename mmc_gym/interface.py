@@ -350,13 +350,12 @@ class ReachInterface:
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
-        """Return the interface of an environment, wrapped or not, or of a vector of equal ones.
+        """Return the interface of an environment of this package, or of a vector of equal ones.
 
-        It is one of this package; vectors may be Gymnasium's, native or not, or
-        stable-baselines3's.
+        Both may be wrapped.  A vector may be Gymnasium's, native or not, or stable-baselines3's.
         """
         body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
-        if isinstance(body, ReachInterface):
+        if isinstance(body, ReachInterface):  # of an `InterfacedEnv`, your interface
             return body
         if body is None or control is None:
             raise UserError(

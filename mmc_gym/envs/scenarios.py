@@ -199,9 +199,9 @@ class OwnEnvironment:
         return replace(self, arguments={**self.arguments, **more})
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
-        """Make the environment.
+        """Make the environment, with another control mode if one is given.
 
-        The control mode, if one is given, is left out if your environment takes no such argument.
+        If your environment then raises a `TypeError`, it is made without the argument `control`.
         """
         arguments = dict(self.arguments)
         try:
@@ -209,7 +209,7 @@ class OwnEnvironment:
         except TypeError as error:
             if control is None or self._is_ours:
                 raise _not_accepted(self.name, error) from error
-            arguments.pop("control", None)
+            arguments.pop("control", None)  # another mistake will be raised again
             return replace(self, arguments=arguments).make()
         return made if self.interface is None else InterfacedEnv(made, self.interface)
 
@@ -229,6 +229,7 @@ class OwnEnvironment:
         return spec is not None and str(spec.entry_point).startswith("mmc_gym.envs.")
 
     def _made(self, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
+        """Return what the id, "module:function" or function makes from these arguments."""
         make: Any = self.env
         if isinstance(make, str):
             from mmc_gym._files import import_object, look_here  # `import mmc_gym` loads no yaml

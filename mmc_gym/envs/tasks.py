@@ -284,7 +284,10 @@ class Pursuit(Task):
     def _coordinate(
         self, multiples: Sequence[int], count: int, random: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return a coordinate of the path, (count,), in reaches; slow sines are larger."""
+        """Return a coordinate along the path, (count,), in reaches, with random phases.
+
+        The amplitudes of its sines are inversely proportional to their frequencies, `multiples`.
+        """
         weights = 1 / np.array(multiples)
         amplitudes = self.amplitude * weights / weights.sum()
         time = np.arange(count)[:, None] / count * math.tau
