@@ -186,9 +186,9 @@ class _Processes:
     def submit(self, packed: bytes) -> Any:
         """Begin a call, and return a handle of it."""
         with suppress(BrokenProcessPool):
-            return self._executor.submit(_work, packed)
+            return self._executor.submit(_run_packed, packed)
         self._executor = self._start()
-        return self._executor.submit(_work, packed)
+        return self._executor.submit(_run_packed, packed)
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         """Wait for calls, and return those that are finished."""
@@ -231,7 +231,7 @@ class _Ray:
         if self._is_ours:
             address = None if cluster == "ray" else cluster
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
-        self._work = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_work)
+        self._run_packed = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_packed)
 
     @property
     def room(self) -> int:
@@ -239,7 +239,7 @@ class _Ray:
         return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
 
     def submit(self, packed: bytes) -> Any:
-        return self._work.remote(packed, _sources())
+        return self._run_packed.remote(packed, _sources())
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
@@ -268,8 +268,16 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         raise CellError(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
-def _work(packed: bytes, sources: str | None = None) -> bytes:
-    """In a worker: return the value of a packed call and None, or None and its error, packed."""
+def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
+    """Run a packed call in a worker.
+
+    Args:
+        packed: see `_packed`.
+        sources: the caller's `_sources`, which a worker on another machine must have, too.
+
+    Returns:
+        The pickled pair of its value and None, or of None and its error.
+    """
     try:
         if sources not in (None, _sources()):
             raise RuntimeError(f"node {platform.node()} must have the caller's sources of mmc_gym")
@@ -281,12 +289,17 @@ def _work(packed: bytes, sources: str | None = None) -> bytes:
             return bytes(cloudpickle.dumps((function(cell), None)))
     except (Exception, SystemExit) as error:
         error.add_note(f"in a worker:\n{traceback.format_exc()}")  # tracebacks cannot be pickled
-        try:
-            failure = bytes(cloudpickle.dumps((None, error)))
-            pickle.loads(failure)
-            return failure
-        except Exception:  # not every error can be pickled and read again
-            return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+        return _packed_failure(error)
+
+
+def _packed_failure(error: BaseException) -> bytes:
+    """Return the pickled pair of None and the error, or one with its message."""
+    try:
+        failure = bytes(cloudpickle.dumps((None, error)))
+        pickle.loads(failure)
+        return failure
+    except Exception:  # not every error can be pickled and read again
+        return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
 def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException | None]:
