@@ -135,7 +135,7 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
         "not_played": reasons(results.manifest.not_played),
     }
     if format == "html":
-        shown |= {"replay": replay(results), "learning": _learning(results)}
+        shown |= {"replay": replay(results), "learning": _learning_curves(results)}
     return shown
 
 
@@ -151,19 +151,22 @@ def _headline(results: Results) -> str:
     return " ".join(said)
 
 
-def _learning(results: Results) -> dict[str, str] | None:
-    """Draw the learning curves of all agents; return None if no agent in focus has one."""
+def _learning_curves(results: Results) -> dict[str, str] | None:
+    """Return a picture of the learning curves of all agents, and its description.
+
+    There is none if no agent in focus has a curve, or if the seeds of no agent overlap.
+    """
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
     from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves
 
     cards = {agent: results.identities[agent].cards for agent in results.agents}
     curves = curve_rows({agent: found for agent, found in cards.items() if found})
-    against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
-    if min(map(len, against)) == 0:
+    by_steps, by_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
+    if by_steps.empty or by_time.empty:
         return None
     return {
-        "source": _picture(draw_learning_curves(*against)),
+        "source": _picture(draw_learning_curves(by_steps, by_time)),
         "description": "Success during training against environment steps, and against time",
     }
 

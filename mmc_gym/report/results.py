@@ -90,12 +90,15 @@ class AgentIdentity:
 
 
 def identify(policies: Iterable[Policy]) -> AgentIdentity:
-    """Identify an agent by its trainings in the manifest."""
-    found = list(policies)
-    facts = {(one.name, one.knowledge) for one in found}
+    """Return who an agent is, from its trainings in the manifest.
+
+    Its name and knowledge are those of all of them; if these differ, they count as unknown.
+    """
+    trainings = list(policies)
+    facts = {(one.name, one.knowledge) for one in trainings}
     name, knowledge = facts.pop() if len(facts) == 1 else ("", UNKNOWN)
-    steps = tuple(one.training_steps for one in found)
-    return AgentIdentity(name, knowledge, steps, tuple(one.source for one in found))
+    steps = tuple(one.training_steps for one in trainings)
+    return AgentIdentity(name, knowledge, steps, tuple(one.source for one in trainings))
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     rows = []
     for agent, own in measures.groupby("agent", sort=False):
         found = {row["measure"]: row for row in own.to_dict("records")}
-        cells = tuple(_learned(found.get(one["measure"])) for one in facts)
+        cells = tuple(_learning_cell(found.get(one["measure"])) for one in facts)
         look = "people" if agent == PEOPLE else "focus" if agent in focus else ""
         rows.append(Row(str(agent), cells, look=look))
     cited = people(result.experiment.family).values()
@@ -255,7 +255,8 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     )
 
 
-def _learned(row: Mapping[Hashable, Any] | None) -> Cell:
+def _learning_cell(row: Mapping[Hashable, Any] | None) -> Cell:
+    """Return the cell of a row of `ExperimentResult.measures`; None: it has no value."""
     if row is None:
         return NONE
     if row["agent"] == PEOPLE:
