@@ -33,10 +33,11 @@ def compiled(function: Any) -> Any:
 
 @inner
 def sine_cosine(angle):
-    """Return sine and cosine to an ulp or so, in arithmetic alone: the same in every lane.
+    """Return sine and cosine to about an ulp.
 
-    The polynomials and the three parts of π/2 are those of fdlibm (Sun Microsystems, 1993), good
-    for angles up to 1e6.
+    It is arithmetic alone, so that a loop over angles can become vector instructions, which return
+    the same bits.  The polynomials and the three parts of π/2 are those of fdlibm (Sun
+    Microsystems, 1993), good for angles up to 1e6.
     """
     quarter = np.floor(angle * 0.6366197723675814 + 0.5)
     x = angle - quarter * 1.57079632673412561417
@@ -54,6 +55,7 @@ def sine_cosine(angle):
     c = -1.38888888888741095749e-03 + z * c
     c = 4.16666666666666019037e-02 + z * c
     c = (1.0 - 0.5 * z) + z * z * c
+    # s and c are sine and cosine of x = angle − quarter · π/2; an odd quarter exchanges them.
     quarter -= 4.0 * np.floor(0.25 * quarter)
     odd = quarter - 2.0 * np.floor(0.5 * quarter) > 0.5
     sine = c if odd else s

@@ -63,11 +63,12 @@ def _needs_of_agent(entry: AgentEntry) -> str:
 
 def list_tasks() -> Listing:
     """Return the names of all tasks; `task=NAME` of an environment takes them."""
-    rows = (Listed(name, one.description, _trials(one.task)) for name, one in TASKS.items())
+    rows = (Listed(name, one.description, _episodes(one.task)) for name, one in TASKS.items())
     return Listing(Listed("task", "what it is", "episodes"), rows)
 
 
-def _trials(task: Task) -> str:
+def _episodes(task: Task) -> str:
+    """Return how long the episodes of a task are, and how many there are, in words."""
     count = "drawn" if task.trial_count is None else f"{task.trial_count} trials"
     return f"{task.episode_steps} steps, {count}"
 
@@ -90,13 +91,15 @@ def list_perturbations() -> Listing:
 
 
 def list_scenarios() -> Listing:
-    """Return the names of the benchmark's scenarios; any other strength works, too."""
+    """Return the names of the benchmark's scenarios and of all tasks without perturbations.
+
+    Perturbations of any other strength work, too.
+    """
     from mmc_gym.benchmark.suite import SCENARIOS
 
-    own = {name: Scenario(task) for name, task in TASKS.items()}
+    scenarios = SCENARIOS | {name: Scenario(task) for name, task in TASKS.items()}
     rows = (
-        Listed(name, one.description, _trials(one.task.task))
-        for name, one in {**SCENARIOS, **own}.items()
+        Listed(name, one.description, _episodes(one.task.task)) for name, one in scenarios.items()
     )
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 

@@ -217,7 +217,7 @@ _OUR_KEYS: dict[str, Any] = {  # which are no arguments of the algorithm: type, 
     "env_kwargs": (dict[str, Any], {}),
     "vec_env_wrapper": (Annotated[list[_WRAPPER], BeforeValidator(_parse_wrappers)], []),
 }
-_KINDS = {  # of arguments whose annotation says less
+_TYPES = {  # of arguments of algorithms, where their annotation says less
     "n_steps": _Count,
     "train_freq": _Count | tuple[_Count, Literal["step", "episode"]],
     "policy_kwargs": Annotated[dict[str, Any] | None, BeforeValidator(_parse_policy_options)],
@@ -226,11 +226,14 @@ _KINDS = {  # of arguments whose annotation says less
 
 
 def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
-    """Return the type and the default of each key that an entry for the algorithm may have."""
+    """Return the keys that an entry for the algorithm may have, as fields of a pydantic model.
+
+    These are pairs of a type and a default, which is `...` where the key is required.
+    """
     keys: dict[str, Any] = {}
-    for name, one in _parameters(algorithm).items():
-        kind = _KINDS.get(name, Annotated[one.annotation, _Numeric])
-        keys[name] = kind, one.default
+    for name, parameter in _parameters(algorithm).items():
+        kind = _TYPES.get(name, Annotated[parameter.annotation, _Numeric])
+        keys[name] = kind, parameter.default
     policy = _class_from(algorithm.policy_aliases["MlpPolicy"], "MlpPolicy")
     return {**keys, "policy": (policy, ...), **_OUR_KEYS}
 
