@@ -124,6 +124,7 @@ def list_measures() -> Listing:
 
 
 def _unit(measure: Measure) -> str:
+    """Return the unit of a measure, which of its values are good, and if only successes count."""
     unit = "" if measure.full_label != measure.label else measure.shown_unit
     best = "" if measure.best == "neither" else f"{measure.best} is good"
     arrived = "successes" if measure.successes_only else ""

@@ -329,6 +329,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
 
 
 def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
+    """Return the agents `asked` for; without any, all of yours, or else the first one."""
     for name in asked:
         if name not in identities:
             raise unknown("focus", name, identities)
@@ -338,6 +339,7 @@ def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tup
 
 
 def _environment(settings: Mapping[str, Any]) -> Environment:
+    """Return the scenario of an entry in the manifest; what this lacks has its default."""
     names = {one.name for one in fields(Environment)} & settings.keys()
     return Environment(**{name: settings[name] for name in names if settings[name] is not None})
 

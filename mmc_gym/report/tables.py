@@ -105,12 +105,16 @@ def scenario_table(results: Results, agent: str) -> Table:
 
 
 def _compared(found: Mapping[str, Floats], agent: str, other: str) -> Cell:
+    """Return the cell of another agent: its success, and by how much that of `agent` differs.
+
+    `found` has the resampled success of each agent that attempted the scenario.
+    """
     if other not in found:
         return Cell("·")
-    less = Estimate.of(found[agent] - found[other])
-    ends = f" [{_signed(less.low)}, {_signed(less.high)}]" if math.isfinite(less.low) else ""
-    look = "better" if less.low > 0 else "worse" if less.high < 0 else ""
-    notes = (f"{_signed(less.estimate)}{ends}",)
+    gain = Estimate.of(found[agent] - found[other])
+    ends = f" [{_signed(gain.low)}, {_signed(gain.high)}]" if math.isfinite(gain.low) else ""
+    look = "better" if gain.low > 0 else "worse" if gain.high < 0 else ""
+    notes = (f"{_signed(gain.estimate)}{ends}",)
     return Cell(_SUCCESS.number(found[other][0]), notes, look=look)
 
 
