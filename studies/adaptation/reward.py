@@ -36,27 +36,17 @@ DIRECTIONS = 8
 
 @dataclass(frozen=True)
 class Arguments:
-    """Let learners adapt by reward.
+    """Let learners adapt by reward."""
 
-    Attributes:
-        degrees: of the rotation.
-        sac_steps: steps of SAC before the rotation.
-        ppo_steps: the same of PPO.
-        trials: with the rotation.
-        every: trials between two measurements.
-        seed: of all trainings.
-        learners: names of those that learn; SAC, PPO, or SAC-emptied.
-        out: file of the curves, JSON.
-    """
-
-    degrees: float = 30.0
-    sac_steps: int = 15_000
-    ppo_steps: int = 300_000
-    trials: int = 300
-    every: int = 20
-    seed: int = 0
+    degrees: float = 30.0  # of the rotation
+    sac_steps: int = 15_000  # steps of SAC before the rotation
+    ppo_steps: int = 300_000  # the same of PPO
+    trials: int = 300  # with the rotation
+    every: int = 20  # trials between two measurements
+    seed: int = 0  # of all trainings
+    # names of those that learn; SAC, PPO, or SAC-emptied
     learners: tuple[str, ...] = ("SAC", "PPO")
-    out: Path = Path("runs/reward-adaptation.json")
+    out: Path = Path("runs/reward-adaptation.json")  # file of the curves, JSON
 
 
 def make(turned: float) -> gym.Env[Any, Any]:

@@ -48,17 +48,12 @@ ARMS, SPREAD = 64, 0.5  # rad
 
 @dataclass(frozen=True)
 class Arguments:
-    """Print the tables.
+    """Print the tables."""
 
-    Attributes:
-        agents: names of agents; by default all but `random`.
-        episodes: episodes of each agent in each setting.
-        steps: timed steps of one arm, five times; 256 arms take a hundredth of them.
-    """
-
+    # names of agents; by default all but `random`
     agents: tuple[str, ...] = tuple(name for name in AGENTS if name != "random")
-    episodes: int = 1000
-    steps: int = 4000
+    episodes: int = 1000  # episodes of each agent in each setting
+    steps: int = 4000  # timed steps of one arm, five times; 256 arms take a hundredth of them
 
 
 @contextmanager

@@ -43,21 +43,14 @@ REST_STEPS, REST_PATH = 15, 0.02
 
 @dataclass(frozen=True)
 class Arguments:
-    """List the failures of an agent.
+    """List the failures of an agent."""
 
-    Attributes:
-        agent: name of the agent.
-        scenarios: names, see `mmc-gym list scenarios`; all of the benchmark by default.
-        episodes: episodes in each scenario.
-        seed: seed of the episodes; the benchmark's is 0.
-        draw: folder for a picture of each failure; none by default.
-    """
-
-    agent: str = "mmc-body"
+    agent: str = "mmc-body"  # name of the agent
+    # names, see `mmc-gym list scenarios`; all of the benchmark by default
     scenarios: tuple[str, ...] = ()
-    episodes: int = 100
-    seed: int = 0
-    draw: Path | None = None
+    episodes: int = 100  # episodes in each scenario
+    seed: int = 0  # seed of the episodes; the benchmark's is 0
+    draw: Path | None = None  # folder for a picture of each failure; none by default
 
 
 def cause(episode: Episode, setup: ReachSetup) -> str:

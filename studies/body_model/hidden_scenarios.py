@@ -72,17 +72,11 @@ SCENARIOS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure agents in the hidden scenarios.
+    """Measure agents in the hidden scenarios."""
 
-    Attributes:
-        episodes: episodes of each training of an agent in each scenario.
-        seed: seed of the episodes.
-        only: play only the scenarios whose name contains this text.
-    """
-
-    episodes: int = 200
-    seed: int = 70_000
-    only: str = ""
+    episodes: int = 200  # episodes of each training of an agent in each scenario
+    seed: int = 70_000  # seed of the episodes
+    only: str = ""  # play only the scenarios whose name contains this text
 
 
 def main(arguments: Arguments) -> None:

@@ -70,21 +70,15 @@ BELL = 0.95
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure parts, switches and vigour.
+    """Measure parts, switches and vigour."""
 
-    Attributes:
-        tables: which tables to print: parts, switches, vigour.
-        scenarios: names, see `mmc-gym list scenarios`; by default the most informative ones.
-        episodes: episodes of each agent in each scenario.
-        seed: seed of the episodes.
-        model: internal model of the agents in the table of parts, mmc or ik.
-    """
-
+    # which tables to print: parts, switches, vigour
     tables: tuple[str, ...] = ("parts", "switches", "vigour")
+    # names, see `mmc-gym list scenarios`; by default the most informative ones
     scenarios: tuple[str, ...] = ()
-    episodes: int = 200
-    seed: int = 30_000
-    model: str = "mmc"
+    episodes: int = 200  # episodes of each agent in each scenario
+    seed: int = 30_000  # seed of the episodes
+    model: str = "mmc"  # internal model of the agents in the table of parts, mmc or ik
 
     def played(self, agent: Make, scenario: Playable) -> Played:
         """Return the episodes of an agent."""

@@ -43,17 +43,13 @@ NO_RIVALS = ("random", REFERENCE)
 
 @dataclass(frozen=True)
 class Arguments:
-    """Print the standings.
+    """Print the standings."""
 
-    Attributes:
-        stores: folders of `mmc-gym benchmark`; rivals are the agents of the first.
-        agents: columns of the table of success by family; those that did not play are left out.
-        focus: the agents that are compared with each of the others.
-    """
-
+    # folders of `mmc-gym benchmark`; rivals are the agents of the first
     stores: tuple[Path, ...] = (Path("runs/benchmark"), Path("runs/known-body"))
+    # columns of the table of success by family; those that did not play are left out
     agents: tuple[str, ...] = COLUMNS
-    focus: tuple[str, ...] = ("mmc-body",)
+    focus: tuple[str, ...] = ("mmc-body",)  # the agents that are compared with each of the others
 
 
 def by_family(arguments: Arguments) -> Table:

@@ -45,23 +45,14 @@ SETTINGS: dict[str, Any] = dict(
 
 @dataclass
 class Arguments:
-    """Time trainings.
+    """Time trainings."""
 
-    Attributes:
-        seeds: number of training seeds, from 0.
-        arms: number of arms that learn together.
-        steps: steps of a training, of all arms together.
-        threads: threads of torch and of the environment.
-        targets: number of targets with which each policy is scored.
-        profile: show where the processor time of another, short training goes.
-    """
-
-    seeds: int = 5
-    arms: int = 512
-    steps: int = 400_000
-    threads: int = 1
-    targets: int = 500
-    profile: bool = True
+    seeds: int = 5  # number of training seeds, from 0
+    arms: int = 512  # number of arms that learn together
+    steps: int = 400_000  # steps of a training, of all arms together
+    threads: int = 1  # threads of torch and of the environment
+    targets: int = 500  # number of targets with which each policy is scored
+    profile: bool = True  # show where the processor time of another, short training goes
 
 
 class Snapshot(NamedTuple):

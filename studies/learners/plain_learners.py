@@ -52,23 +52,17 @@ EVALUATION_SEED = 2_000_000  # far from the seeds of trainings
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train and evaluate, then print all results in the folder.
+    """Train and evaluate, then print all results in the folder."""
 
-    Attributes:
-        learners: learners to train; without any, only the results in the folder are printed.
-        seeds: training seeds of each learner.
-        steps: largest number of environment steps; a training ends with its last evaluation.
-        at: environment steps after which the policy is evaluated.
-        jobs: number of trainings at once.
-        out: folder for the results.
-    """
-
+    # learners to train; without any, only the results in the folder are printed
     learners: tuple[Learner, ...] = ("ppo", "sac", "td3")
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)  # training seeds of each learner
+    # largest number of environment steps; a training ends with its last evaluation
     steps: int = 1_000_000
+    # environment steps after which the policy is evaluated
     at: tuple[int, ...] = (50_000, 100_000, 200_000, 500_000, 1_000_000)
-    jobs: int = 2
-    out: Path = Path("runs/plain-learners")
+    jobs: int = 2  # number of trainings at once
+    out: Path = Path("runs/plain-learners")  # folder for the results
 
 
 @dataclass(frozen=True)

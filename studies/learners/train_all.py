@@ -33,16 +33,12 @@ OF_STUDIES = {one.HYPERPARAMETERS.stem: one.HYPERPARAMETERS for one in (ppo_posi
 class Arguments:
     """Which policies to train, and how many at once."""
 
+    # Folder for the policies and, until they are trained, for their checkpoints
     out: Path = Path("runs/train-all")
-    """Folder for the policies and, until they are trained, for their checkpoints."""
-    names: tuple[str, ...] = ()
-    """Names of hyperparameters; all that ship, if not given."""
-    seeds: int | None = None
-    """Number of trainings of each; as many as ship, if not given."""
-    jobs: int = loky.cpu_count()
-    """How many are trained at once."""
-    steps: int | None = None
-    """Environment steps, instead of those of the hyperparameters."""
+    names: tuple[str, ...] = ()  # Names of hyperparameters; all that ship, if not given
+    seeds: int | None = None  # Number of trainings of each; as many as ship, if not given
+    jobs: int = loky.cpu_count()  # How many are trained at once
+    steps: int | None = None  # Environment steps, instead of those of the hyperparameters
 
 
 def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:

@@ -40,21 +40,13 @@ from mmc_gym.network.embodied import Embodiment, embodied_run
 
 @dataclass(frozen=True)
 class Arguments:
-    """Measure tasks and fused senses.
+    """Measure tasks and fused senses."""
 
-    Attributes:
-        segments: numbers of segments, N.
-        arms: arms with each number of segments.
-        iterations: iterations of the network.
-        learned: use the learned normalizer instead of the Euclidean one.
-        seed: seed of postures, targets and noise.
-    """
-
-    segments: tuple[int, ...] = (2, 3, 4, 6, 8, 10)
-    arms: int = 500
-    iterations: int = 500
-    learned: bool = True
-    seed: int = 0
+    segments: tuple[int, ...] = (2, 3, 4, 6, 8, 10)  # numbers of segments, N
+    arms: int = 500  # arms with each number of segments
+    iterations: int = 500  # iterations of the network
+    learned: bool = True  # use the learned normalizer instead of the Euclidean one
+    seed: int = 0  # seed of postures, targets and noise
 
 
 NOISE = ((0.02, 0.05), (0.05, 0.05), (0.1, 0.05), (0.1, 0.2))

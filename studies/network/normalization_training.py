@@ -19,15 +19,10 @@ from studies.paper.networks import ARCHITECTURES, RUNS, Units, architecture_name
 
 @dataclass
 class Arguments:
-    """Time the training of the normalization networks.
+    """Time the training of the normalization networks."""
 
-    Attributes:
-        epochs: number of epochs to train.
-        widest: leave out architectures with larger layers.
-    """
-
-    epochs: int = 20
-    widest: int = 128
+    epochs: int = 20  # number of epochs to train
+    widest: int = 128  # leave out architectures with larger layers
 
 
 def seconds(units: Units, runs: int, epochs: int) -> float:

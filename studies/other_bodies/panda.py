@@ -55,24 +55,17 @@ STEPS, STUCK = 50, 10  # of an episode; steps after which a hand that rests is t
 
 @dataclass(frozen=True)
 class Arguments:
-    """Play what is not in the folder yet, then print all results of the seed.
+    """Play what is not in the folder yet, then print all results of the seed."""
 
-    Attributes:
-        agents: who plays: the two agents; damped least squares alone, without their loops;
-            pybullet's inverse kinematics; TQC.  Without any, the results are printed.
-        bodies: the bodies of the tables, or those on which nothing was tuned.
-        episodes: episodes of each agent with each body.
-        seed: 0 plays the environment's seeds 0, 1, …; 1 those from 1000 on.
-        tqc: model of TQC.
-        out: folder for the results.
-    """
-
+    # who plays: the two agents; damped least squares alone, without their loops; pybullet's inverse
+    # kinematics; TQC.  Without any, the results are printed.
     agents: tuple[str, ...] = AGENTS
+    # the bodies of the tables, or those on which nothing was tuned
     bodies: tuple[str, ...] = tuple(BODIES)
-    episodes: int = 500
-    seed: int = 0
-    tqc: Path = Path("runs/panda-tqc/tqc_50000.zip")
-    out: Path = Path("runs/panda")
+    episodes: int = 500  # episodes of each agent with each body
+    seed: int = 0  # 0 plays the environment's seeds 0, 1, …; 1 those from 1000 on
+    tqc: Path = Path("runs/panda-tqc/tqc_50000.zip")  # model of TQC
+    out: Path = Path("runs/panda")  # folder for the results
 
 
 class PybulletAgent:

@@ -106,23 +106,15 @@ AGENTS = ("mmc-body", "ik-body", "ik", "ik, pd", "sac 100k", "sac 200k", "sac 50
 
 @dataclass(frozen=True)
 class Arguments:
-    """Play what is not in the folder yet, then print all results of the seed.
+    """Play what is not in the folder yet, then print all results of the seed."""
 
-    Attributes:
-        agents: who plays; without any, the results in the folder are printed.
-        bodies: the bodies.
-        episodes: episodes of each agent with each body, those of `mmc-gym compare`.
-        seed: of the starts and targets.
-        sac: folder with the models of SAC.
-        out: folder for the results.
-    """
-
+    # who plays; without any, the results in the folder are printed
     agents: tuple[str, ...] = tuple(name for name in AGENTS if name != "sac 200k")
-    bodies: tuple[str, ...] = tuple(BODIES)
-    episodes: int = 1000
-    seed: int = 0
-    sac: Path = Path("runs/reacher-sac")
-    out: Path = Path("runs/reacher")
+    bodies: tuple[str, ...] = tuple(BODIES)  # the bodies
+    episodes: int = 1000  # episodes of each agent with each body, those of `mmc-gym compare`
+    seed: int = 0  # of the starts and targets
+    sac: Path = Path("runs/reacher-sac")  # folder with the models of SAC
+    out: Path = Path("runs/reacher")  # folder for the results
 
 
 class TwoConstants(ReacherInterface):

@@ -40,19 +40,13 @@ STEPS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train one of them.
+    """Train one of them."""
 
-    Attributes:
-        algorithm: which.
-        at: environment steps after which a model is kept, the last at the end; none for `STEPS`.
-        seed: of the training.
-        out: folder for the models, such as sac_100000.zip.
-    """
-
-    algorithm: tyro.conf.Positional[Literal["sac", "tqc"]]
+    algorithm: tyro.conf.Positional[Literal["sac", "tqc"]]  # which
+    # environment steps after which a model is kept, the last at the end; none for `STEPS`
     at: tuple[int, ...] = ()
-    seed: int = 0
-    out: Path = Path("runs/trainings")
+    seed: int = 0  # of the training
+    out: Path = Path("runs/trainings")  # folder for the models, such as sac_100000.zip
 
 
 def make_model(algorithm: str, seed: int) -> Any:
