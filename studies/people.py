@@ -34,7 +34,7 @@ from mmc_gym.experiments.results import (
 )
 from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.measures import MEASURES
-from mmc_gym.measures.catalogue import PEOPLE, Quantity, people, span
+from mmc_gym.measures.catalogue import PEOPLE, people, span
 from studies.body_model.playing import body_model, play
 from studies.drawing import STYLE, save_figure
 from studies.laws import LAWS
@@ -89,13 +89,10 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
                 else:
                     known = LAWS[name]
                     found = {"estimate": known.of(played[0]), "low": math.nan, "high": math.nan}
-                rows.append({"agent": agent, "of": scenario, **_facts(known), **found})
+                facts = {"measure": name, "label": known.label, "unit": known.unit}
+                facts["decimals"] = max(known.decimals, 2)
+                rows.append({"agent": agent, "of": scenario, **facts, **found})
     return with_people(pd.DataFrame(rows)).to_dict("records")
-
-
-def _facts(known: Quantity) -> dict[str, Any]:
-    facts = {"label": known.label, "unit": known.unit, "decimals": max(known.decimals, 2)}
-    return {"measure": known.name, **facts}
 
 
 def learning_rows(

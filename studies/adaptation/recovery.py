@@ -10,11 +10,13 @@ subjects of an experiment are: a fit to the mean curve, and an interval over sub
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tyro
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from mmc_gym.benchmark.statistics import percentile_interval, resampled_means
@@ -24,8 +26,18 @@ from mmc_gym.experiments.learning import (
     fit_two_states,
     generalization_width,
 )
-from studies.adaptation.learners import TwoStates, simulate_learners
+from mmc_gym.measures.episode import Floats
 from studies.tables import table_of
+
+
+class TwoStates(NamedTuple):
+    """Parameters of a learner, see `mmc_gym.experiments.learning.fit_two_states`."""
+
+    A_f: float
+    A_s: float
+    B_f: float
+    B_s: float
+
 
 LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 NOISE = 3.0  # °, of each movement
@@ -34,6 +46,42 @@ RATE, ASYMPTOTE, WIDTH = 0.05, 25.0, 38.0
 OFFSETS = np.array([0.0, 22.5, 45.0, 90.0, 180.0, -90.0, -45.0, -22.5])
 
 Curves = tuple[Any, ...]
+
+
+def simulate_learners(
+    learner: TwoStates,
+    perturbations: ArrayLike,
+    clamps: ArrayLike = math.nan,
+    *,
+    subjects: int = 1,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> tuple[Floats, Floats]:
+    """Simulate learners that are `TwoStates`: a reference for agents, and a test of the fits.
+
+    Args:
+        learner: its parameters.
+        perturbations: p, (trials,); NaN where nothing is seen.
+        clamps: errors shown whatever the hand does, (trials,); NaN where it is not clamped.
+        subjects: number of learners.
+        noise: standard deviation of each movement, which the learner sees in its error.
+        seed: of the noise.
+
+    Returns:
+        Adaptation y with noise, and the errors e (NaN where nothing is seen), (subjects, trials).
+    """
+    schedule = np.asarray(perturbations, dtype=np.float64)
+    adaptation = np.random.default_rng(seed).normal(0.0, noise, (subjects, len(schedule)))
+    errors = np.empty_like(adaptation)
+    fast, slow = np.zeros((2, subjects))
+    for trial, clamp in enumerate(np.broadcast_to(clamps, schedule.shape)):
+        adaptation[:, trial] += fast + slow
+        free = schedule[trial] - adaptation[:, trial]
+        errors[:, trial] = free if math.isnan(clamp) else clamp
+        seen = np.nan_to_num(errors[:, trial])
+        fast = learner.A_f * fast + learner.B_f * seen
+        slow = learner.A_s * slow + learner.B_s * seen
+    return adaptation, errors
 
 
 def recovery(
@@ -112,22 +160,13 @@ def main(groups: int = 200, subjects: int = 20, resamples: int = 200) -> None:
     def width(curves: Any) -> Any:
         return generalization_width(curves, OFFSETS)
 
+    schedules = {
+        "rotation and washout": two_state_groups(False, subjects),
+        "rotation, its opposite, clamp": two_state_groups(True, subjects),
+        "the same, 3° of noise unseen by the learner": two_state_groups(True, subjects, unseen=3.0),
+    }
     cases: dict[str, tuple[Any, Any, Mapping[str, float]]] = {
-        "rotation and washout": (
-            fit_two_states,
-            two_state_groups(False, subjects),
-            true_states,
-        ),
-        "rotation, its opposite, clamp": (
-            fit_two_states,
-            two_state_groups(True, subjects),
-            true_states,
-        ),
-        "the same, 3° of noise unseen by the learner": (
-            fit_two_states,
-            two_state_groups(True, subjects, unseen=3.0),
-            true_states,
-        ),
+        **{case: (fit_two_states, learn, true_states) for case, learn in schedules.items()},
         "exponential": (fit_exponential, noisy(course), {"asymptote": ASYMPTOTE, "rate": RATE}),
         "width of a Gaussian": (width, noisy(around), {"σ [°]": WIDTH}),
     }

@@ -146,7 +146,6 @@ def energies(engine: Any, curl: float, spread: float) -> dict[str, str]:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the tables."""
     console = Console(width=120)
     rows = [
         {"agent": name} | {s: success(name, s, arguments.episodes) for s in SETTINGS}

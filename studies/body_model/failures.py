@@ -92,7 +92,6 @@ def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the table."""
     rows, total = [], Counter[str]()
     if arguments.draw is not None:
         arguments.draw.mkdir(parents=True, exist_ok=True)

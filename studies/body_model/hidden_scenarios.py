@@ -80,7 +80,6 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the table."""
     rows = []
     for name in track([name for name in SCENARIOS if arguments.only in name], transient=True):
         row = {"scenario": name}

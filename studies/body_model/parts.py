@@ -191,7 +191,6 @@ TABLES = {"parts": of_parts, "switches": of_switches, "vigour": of_vigour}
 
 
 def main(arguments: Arguments) -> None:
-    """Print the tables."""
     for name in arguments.tables:
         Console(width=160).print(TABLES[name](arguments))
 

@@ -154,7 +154,6 @@ def rivals_of(agent: str, episodes: pd.DataFrame) -> list[str]:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the tables."""
     episodes = leave_out_failures(read_episodes(arguments.stores[0]))
     console = Console(width=170)
     console.print(by_family(arguments))

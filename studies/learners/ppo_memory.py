@@ -82,7 +82,6 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: VectorEnv) -> None:
-        """Wrap a native vector environment."""
         super().__init__(env)
         reaching: Any = env.unwrapped
         self._setup, self._arms = reaching.setup, reaching.arms
@@ -144,7 +143,6 @@ class TruthfulScenarios(RandomScenarios):
     """
 
     def __init__(self, venv: VecEnv, twice: float = 0.0, **options: Any) -> None:
-        """Wrap a vector of equal environments, with the options of `RandomScenarios`."""
         self._twice = twice
         super().__init__(venv, **options)
         size = truth_size(venv.action_space.shape[0])  # type: ignore[index]
@@ -188,7 +186,6 @@ class Memory(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, blocks: Sequence[int]) -> None:
-        """Wrap an environment, with the blocks of `History`."""
         self.blocks = tuple(blocks)
         self._history = History(ReachInterface.of(venv).layout, self.blocks)
         super().__init__(venv, lengthened(venv.observation_space, self._history.size))
@@ -230,10 +227,9 @@ class Memory(VecEnvWrapper):
 
 
 class TruthLayer(BaseFeaturesExtractor):
-    """Extract the truth, the last values of an observation."""
+    """Extract the truth, the last `size` values of an observation."""
 
     def __init__(self, observation_space: spaces.Box, size: int) -> None:
-        """Make the layer for the last `size` values."""
         super().__init__(observation_space, size)
 
     @override
@@ -243,6 +239,9 @@ class TruthLayer(BaseFeaturesExtractor):
 
 class TaughtPolicy(ActorCriticPolicy):
     """A teacher (actor and critic) that sees the truth, and a student that sees all other values.
+
+    Observations end with the truth.  The hidden layers of the student are `net_arch`; those of the
+    teacher's actor, and of its critic, are `teacher`.
 
     Attributes:
         student: the student's network; its last layer gives actions.
@@ -260,16 +259,6 @@ class TaughtPolicy(ActorCriticPolicy):
         teacher: Sequence[int] = (128, 128),
         **options: Any,
     ) -> None:
-        """Make a policy.
-
-        Args:
-            observation_space: space of observations that end with the truth.
-            action_space: space of joint actions.
-            lr_schedule: learning rate.
-            net_arch: hidden layers of the student.
-            teacher: hidden layers of the teacher's actor, and of its critic.
-            options: options of the base class.
-        """
         size = truth_size(action_space.shape[0])
         self.inputs = observation_space.shape[0] - size
         self._student_layers = list(net_arch)
@@ -319,22 +308,18 @@ class TaughtPolicy(ActorCriticPolicy):
 
 
 class TaughtPPO(PPO):
-    """PPO for the teacher of a `TaughtPolicy`, then lessons for its student."""
+    """PPO for the teacher of a `TaughtPolicy`, then lessons for its student.
+
+    The student acts and learns in the share `lessons` of the steps, at the end, and passes through
+    a rollout `lesson_epochs` times, like PPO's `n_epochs`.  The schedule of the learning rate runs
+    twice: for PPO, and then for the lessons.
+    """
 
     policy: TaughtPolicy
 
     def __init__(
         self, *arguments: Any, lessons: float = 0.5, lesson_epochs: int = 2, **options: Any
     ) -> None:
-        """Make a model.
-
-        Args:
-            arguments: policy and environment.
-            lessons: share of the steps, at the end, in which the student acts and learns.
-            lesson_epochs: passes through a rollout, like PPO's `n_epochs`.
-            options: options of PPO.  The schedule of the learning rate runs twice: for PPO, and
-                then for the lessons.
-        """
         super().__init__(*arguments, **options)
         self.lessons, self.lesson_epochs = lessons, lesson_epochs
 

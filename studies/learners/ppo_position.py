@@ -39,7 +39,6 @@ class PPOTargetPolicy(ActorCriticPolicy):
         lr_schedule: Schedule,
         **options: Any,
     ) -> None:
-        """Make a policy with the options of its base class."""
         seen = {"view": "target", "joint_count": action_space.shape[0]}
         options |= {"features_extractor_class": ViewLayer, "features_extractor_kwargs": seen}
         super().__init__(observation_space, action_space, lr_schedule, **options)

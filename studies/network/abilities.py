@@ -127,7 +127,6 @@ def _pairs(points: np.ndarray) -> Floats:
 
 
 def main(arguments: Arguments) -> None:
-    """Print both tables."""
     title = f"median error after {arguments.iterations} iterations, and share within 0.05"
     of_tasks = Table("task", *(f"N = {count}" for count in arguments.segments), title=title)
     found = [errors(count, arguments) for count in arguments.segments]

@@ -42,21 +42,14 @@ from mmc_gym.network.normalizers import WEIGHTS, LearnedNormalizer, Normalizer
 Array: TypeAlias = NDArray[np.float64]
 _Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
 
-
-BATCH_SIZE = 16
-"""Samples per update of Adam."""
-LEARNING_RATE = 0.001
-"""Step size of Adam."""
+BATCH_SIZE = 16  # samples per update of Adam
+LEARNING_RATE = 0.001  # step size of Adam
 
 # What the refinement weighs:
-NEAR = 0.3
-"""Lengths within this of 1 have weight 1, because an arm at rest needs them."""
-FAR_WEIGHT = 0.1
-"""Weight of all other lengths."""
-SHORT = 0.05
-"""Length below which the weight falls to 0: no MLP does well near the zero vector."""
-LENGTH_WEIGHT = 0.3
-"""c, weight of the length error relative to the angle error."""
+NEAR = 0.3  # lengths within this of 1 have weight 1, because an arm at rest needs them
+FAR_WEIGHT = 0.1  # of all other lengths
+SHORT = 0.05  # length below which the weight falls to 0: no MLP does well near the zero vector
+LENGTH_WEIGHT = 0.3  # c, weight of the length error relative to the angle error
 
 
 @dataclass(frozen=True)

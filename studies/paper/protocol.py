@@ -46,20 +46,13 @@ for _constant in (TARGETS, PAIRS, STARTING_SEGMENTS, EXAMPLE_TARGET):
 EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
 """Names of the normalizers that are not trained by the paper's recipe."""
 
-OVERSHOOT = 0.01
-"""A movement overshoots if its distance rises by more than this above its smallest so far."""
-
-SECOND_PEAK = 0.05
-"""A second velocity peak is a rise, after the peak, by more than this share of it."""
-
-FAR = 0.1
-"""Movements that end at a larger distance than this are counted."""
-
+OVERSHOOT = 0.01  # how far the distance rises above its smallest so far, for an overshoot
+SECOND_PEAK = 0.05  # how far the speed rises again, as a share of its peak, for a second peak
+FAR = 0.1  # movements that end at a larger distance are counted
 INNER = (PAIRS < 14).all(axis=1)
 """Movements between targets at radius 1 and 2, which need no stretched arm, (420,)."""
 
-ITERATIONS = (10, 20, 40, 100)
-"""Iterations after which distances are given."""
+ITERATIONS = (10, 20, 40, 100)  # after which distances are given
 
 
 class Recording(NamedTuple):

@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple, TypeAlias
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+from tyro.conf import Positional
 
 from studies.paper.experiment import (
     ExperimentSettings,
@@ -99,34 +100,33 @@ _POINT_COLUMNS = {"": 1, "subject": 8, "paper": 8, "its data": 8, "ours": 8}
 
 
 def reproduce(
-    names: Sequence[Name] = (),
-    folder: Path | str = Path("runs/paper"),
+    experiments: Positional[Sequence[Name]] = (),
+    out: Path = Path("runs/paper"),
     quick: bool = False,
     seed: int = 0,
     jobs: int | None = None,
 ) -> dict[Name, Result]:
-    """Run experiments, write figures, data and report, and print the report.
+    """Run the paper's experiments; write figures, data, and a table with the published values.
 
     Args:
-        names: names of experiments; all of them if none are given.
-        folder: folder for all files.
-        quick: run a small part of each experiment, to see that everything works.
-        seed: seed of everything random, not negative.
-        jobs: number of processes that train networks; by default one per core.
+        experiments: Names of experiments (default: all).
+        out: Folder for figures, data and table; networks in it are not trained again.
+        quick: Run a small part of each experiment, to see that everything works.
+        seed: Seed of everything random.
+        jobs: Number of processes that train networks (default: one per core).
 
     Returns:
         The result of each experiment.
     """
-    folder = Path(folder)
-    settings = ExperimentSettings(quick, seed, folder, jobs or os.cpu_count() or 1)
+    settings = ExperimentSettings(quick, seed, out, jobs or os.cpu_count() or 1)
     results, console = {}, Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     for name in EXPERIMENTS:  # in this order, each once
-        if not names or name in names:
+        if not experiments or name in experiments:
             start = time.perf_counter()
             results[name] = EXPERIMENTS[name].run(settings)
-            write_result(results[name], folder / name)
-            console.print(f"{name}: {time.perf_counter() - start:.1f} s, in {folder / name}")
-    (folder / "table.md").write_text(to_markdown(results, quick), encoding="utf-8")
+            write_result(results[name], out / name)
+            console.print(f"{name}: {time.perf_counter() - start:.1f} s, in {out / name}")
+    (out / "table.md").write_text(to_markdown(results, quick), encoding="utf-8")
     for heading, columns, rows, _ in _parts(results):
         table = Table(title=heading, title_justify="left", box=None, expand=True)
         for column, share in columns.items():

@@ -17,7 +17,7 @@ from mmc_gym.experiments.results import (
 )
 from mmc_gym.measures.catalogue import PEOPLE
 from mmc_gym.network.time_base import minimum_jerk
-from studies.adaptation.learners import TwoStates, simulate_learners
+from studies.adaptation.recovery import TwoStates, simulate_learners
 
 LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 BELL = minimum_jerk(np.linspace(0, 1, 21))[:, None]

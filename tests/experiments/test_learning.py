@@ -19,7 +19,7 @@ from mmc_gym.experiments.learning import (
 from mmc_gym.measures import MEASURES
 from mmc_gym.measures.catalogue import people
 from mmc_gym.network.time_base import minimum_jerk
-from studies.adaptation.learners import TwoStates, simulate_learners
+from studies.adaptation.recovery import TwoStates, simulate_learners
 from studies.laws import LAWS
 
 STEP = 0.02

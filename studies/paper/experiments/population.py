@@ -41,11 +41,8 @@ from studies.paper.figures import make_panels, styled, write_number
 from studies.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
-WEIGHT_DECAY = 0.0005
-"""Weight decay of the additional [8, 8] networks, see `FittingSettings`."""
-
-SILENT = 0.01
-"""A unit whose activation ranges over less than this is silent."""
+WEIGHT_DECAY = 0.0005  # of the additional [8, 8] networks, see `FittingSettings`
+SILENT = 0.01  # a unit whose activation ranges over less than this is silent
 
 _PLAIN, _DECAYED = "[8, 8]", "[8, 8], weight decay"
 
