@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -21,7 +22,7 @@ WIDTH = 120  # columns, without a terminal and without COLUMNS
 _NARROWEST = 40  # columns; fewer, such as COLUMNS=0, would leave out columns of tables
 _ASCII = str.maketrans(
     {"µ": "u", "²": "2", "½": "1/2", "–": "-", "−": "-", "×": "x", "±": "+-", "≤": "<="}
-    | {"°": " deg", "“": '"', "”": '"'}
+    | {"°": "deg", "“": '"', "”": '"'}
 )
 
 
@@ -61,12 +62,13 @@ def print_written(console: Console, paths: Iterable[Path]) -> None:
 
 def text_for(console: Console, text: str, *notes: str) -> Text:
     """Return a text for the console, with notes below it, dimmed."""
-    below = ((f"\n{_encodable(console, note)}", "dim") for note in notes)
-    return Text.assemble(_encodable(console, text), *below)
+    below = ((f"\n{encodable(console, note)}", "dim") for note in notes)
+    return Text.assemble(encodable(console, text), *below)
 
 
-def _encodable(console: Console, content: str) -> str:
+def encodable(console: Console, content: str) -> str:
     """Return a text, in plain ASCII if the console is no terminal or its encoding lacks signs."""
     if console.is_terminal and console.encoding.lower().startswith("utf"):
         return content
+    content = re.sub(r"(?<=\d)°", " deg", content)
     return content.translate(_ASCII).encode("ascii", "replace").decode()

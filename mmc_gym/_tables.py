@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -150,9 +151,9 @@ def print_table(console: Console, table: Table) -> None:
     from rich.padding import Padding
     from rich.table import Table as Shown
 
-    from mmc_gym._console import text_for
+    from mmc_gym._console import encodable, text_for
 
-    texts, numbers = _columns(table)
+    texts, numbers = _columns(table, partial(encodable, console))
     for group in _side_by_side(console.width, texts, numbers):
         shown = Shown(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
         shown.show_header = bool(table.headings)
@@ -188,8 +189,8 @@ def _lines(cell: tuple[str, ...]) -> list[str]:
     return "\n".join(cell).split("\n")
 
 
-def _columns(table: Table) -> tuple[list[_Column], list[_Column]]:
-    """Return the columns of text, and those of numbers."""
+def _columns(table: Table, written: Callable[[str], str]) -> tuple[list[_Column], list[_Column]]:
+    """Return the columns of text, and those of numbers, as they are written."""
     rows = [
         [(row.name, *filter(None, [row.note])), *((one.text, *one.notes) for one in row.cells)]
         for row in table.rows
@@ -200,7 +201,9 @@ def _columns(table: Table) -> tuple[list[_Column], list[_Column]]:
     numbers: list[_Column] = []
     for place, (one, cells) in enumerate(zip(headings, columns, strict=True)):
         kind = texts if place == 0 or one.is_text else numbers
-        kind.append(_Column((one.label, *([f"[{one.unit}]"] if one.unit else [])), cells))
+        heading = (one.label, *([f"[{one.unit}]"] if one.unit else []))
+        first, *others = (tuple(map(written, lines)) for lines in (heading, *cells))
+        kind.append(_Column(first, others))
     return texts, numbers
 
 

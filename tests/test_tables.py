@@ -69,3 +69,11 @@ def test_an_estimate_has_three_digits_its_interval_and_how_many_have_a_value(est
     row = {"estimate": estimate, "low": 0.4, "high": 0.6, "count": 9, "missing": 1}
     cell = estimate_cell(row, 2)
     assert (cell.text, cell.notes[1]) == (text, "9 of 10")
+
+
+def test_degrees_are_spelt_out_where_the_console_has_no_such_sign():
+    shown = printed(
+        Table((Heading("a"), Heading("turn", "°")), (Row("b 30°", (Cell("1°/s"),)),)), 60
+    )
+    assert shown.isascii() and "[deg]" in shown
+    assert "b 30 deg" in shown and "1 deg/s" in shown
