@@ -78,6 +78,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "mmc-gym"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_favicon = "_static/favicon.svg"
 html_extra_path = ["_generated/extra"]
 html_theme_options = {
     "header_links_before_dropdown": 7,
