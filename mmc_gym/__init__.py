@@ -10,7 +10,17 @@ from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.envs import make, make_vec
 
 if TYPE_CHECKING:
-    from mmc_gym import agents, benchmark, body, experiments, measures, network, report, training
+    from mmc_gym import (
+        agents,
+        benchmark,
+        body,
+        experiments,
+        measures,
+        network,
+        report,
+        robots,
+        training,
+    )
     from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.agents import make_agent
     from mmc_gym.benchmark.compare import compare
@@ -24,11 +34,14 @@ if TYPE_CHECKING:
         list_tasks,
     )
     from mmc_gym.measures import run_episodes
+    from mmc_gym.robots import HingeArm, HingeNetwork
     from mmc_gym.training.training import train
 
     __version__: str
 
 __all__ = [
+    "HingeArm",
+    "HingeNetwork",
     "MismatchWarning",
     "UserError",
     "__version__",
@@ -50,6 +63,7 @@ __all__ = [
     "measures",
     "network",
     "report",
+    "robots",
     "run_episodes",
     "run_experiment",
     "train",
@@ -57,6 +71,8 @@ __all__ = [
 ]
 
 _HOMES = {
+    "HingeArm": "robots",
+    "HingeNetwork": "robots",
     "MismatchWarning": "_errors",
     "UserError": "_errors",
     "compare": "benchmark.compare",

@@ -25,7 +25,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require, require_array, require_choice
+from mmc_gym._errors import UserError, is_whole, require, require_array, require_choice, unknown
 from mmc_gym._files import read_yaml
 from mmc_gym.geometry import Floats
 from mmc_gym.robots.urdf import read_chain
@@ -70,12 +70,20 @@ class HingeArm:
     [0.088, 0.0, 0.926]
     >>> arm.nodes([0.0] * 7).round(2).tolist()  # shoulder, elbow, wrist, hand
     [[0.0, 0.0, 0.33], [0.08, 0.0, 0.65], [0.0, 0.0, 1.03], [0.09, 0.0, 0.93]]
+    >>> print(HingeArm.named("ur5"))
+    shoulder_pan_joint    -6.28 to  6.28  node 0
+    shoulder_lift_joint   -6.28 to  6.28  node 0
+    elbow_joint           -3.14 to  3.14  node 1
+    wrist_1_joint         -6.28 to  6.28  node 2
+    wrist_2_joint         -6.28 to  6.28  node 2
+    wrist_3_joint         -6.28 to  6.28  node 3
     """
 
     axes: Floats  #: directions of the hinges in the zero posture, (n, 3); brought to length 1
     points: Floats  #: a point on each axis in the zero posture, (n, 3)
     home: Floats  #: pose of the hand in the zero posture, (4, 4)
     limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite where there is none
+    joint_names: tuple[str, ...] = ()  #: of the hinges, all different; "joint_0" … if not given
 
     def __post_init__(self) -> None:
         count = np.shape(self.axes)[0] if np.ndim(self.axes) == 2 else 0
@@ -95,6 +103,19 @@ class HingeArm:
         require_rotations("home", self.home[:3, :3])
         is_pose = np.array_equal(self.home[3], (0, 0, 0, 1))
         require(is_pose, "home", self.home, "a pose: a rotation, a position and the row 0, 0, 0, 1")
+        names = tuple(self.joint_names) or tuple(f"joint_{joint}" for joint in range(count))
+        is_named = len(set(names)) == len(names) == count and all(isinstance(n, str) for n in names)
+        require(is_named, "joint_names", names, f"{count} different names")
+        object.__setattr__(self, "joint_names", names)
+
+    def __str__(self) -> str:
+        """Return a line for each hinge, from base to hand: name, limits in radians, node."""
+        width = max(map(len, self.joint_names))
+        rows = zip(self.joint_names, self.limits, self.joint_nodes)
+        lines = (
+            f"{name:{width}}  {a:6.2f} to {b:5.2f}  node {node}" for name, (a, b), node in rows
+        )
+        return "\n".join(lines)
 
     @classmethod
     def named(cls, name: NamedArm) -> HingeArm:
@@ -129,6 +150,16 @@ class HingeArm:
     def joint_count(self) -> int:
         """Number of hinges, n."""
         return len(self.axes)
+
+    def joint_index(self, joint: int | str) -> int:
+        """Return the index of a hinge, given by index or name."""
+        if joint in self.joint_names:
+            return self.joint_names.index(str(joint))
+        if not (is_whole(joint) and 0 <= joint < self.joint_count):
+            raise unknown(
+                "joint", joint, self.joint_names, f"an index from 0 to {self.joint_count - 1}"
+            )
+        return int(joint)
 
     @cached_property
     def joint_nodes(self) -> tuple[int, ...]:

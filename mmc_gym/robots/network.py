@@ -45,7 +45,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -63,6 +63,8 @@ from mmc_gym._errors import (
 from mmc_gym.geometry import Floats
 from mmc_gym.robots.arm import HingeArm, require_rotations
 from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
+
+HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
 POOL = 128  # postures, of which the nearest to a task are its starts
 ALONE = 30  # iterations in which only the given start may win
@@ -103,6 +105,12 @@ class HingeSolution:
     iterations: NDArray[np.int64]  #: iterations until it settled; up to 16 starts iterate together
     is_solved: NDArray[np.bool_]  #: whether both errors are within the tolerance
 
+    def __str__(self) -> str:
+        """Return in one line how many tasks are solved, and by how much the worst one misses."""
+        far, turn = (np.max(one, initial=0.0) for one in (self.position_error, self.rotation_error))
+        count = f"{np.sum(self.is_solved)} of {np.size(self.is_solved)} solved"
+        return f"{count}; the worst misses by {1e3 * far:.3g} mm and {turn:.3g} rad"
+
 
 @spelt
 @dataclass(frozen=True, eq=False)
@@ -113,11 +121,13 @@ class HingeNetwork:
     nodes.
 
     >>> network = HingeNetwork(HingeArm.named("panda"))
-    >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={3: -1.8})
+    >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={"panda_joint4": -1.8})
     >>> solution.is_solved.item(), solution.joint_angles[3].item()
     (True, -1.8)
     >>> network.arm.forward(solution.joint_angles)[:3, 3].round(2).tolist()
     [0.4, 0.2, 0.5]
+    >>> print(network.solve(position=[0.4, 0.2, 1.5]))
+    0 of 1 solved; the worst misses by 392 mm and 0 rad
     """
 
     arm: HingeArm
@@ -148,7 +158,7 @@ class HingeNetwork:
         self,
         position: ArrayLike | None = None,
         rotation: ArrayLike | None = None,
-        held: Mapping[int, ArrayLike] | None = None,
+        held: HeldJoints | None = None,
         points: Mapping[int, ArrayLike] | None = None,
     ) -> HingeClamps:
         """Hold the hand's position and rotation, joints, and nodes: any task, or a mixture.
@@ -156,18 +166,18 @@ class HingeNetwork:
         Args:
             position: of the hand, seen from the base, (..., 3).
             rotation: of the hand, (..., 3, 3); orthogonal within 1e-6.
-            held: angles (...) of joints that do not move, by index of the joint; a locked joint, or
-                all of them for the forward task.
+            held: angles (...) of joints that do not move, by index or name of the joint; a locked
+                joint, or all of them for the forward task.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
         """
         arm, held, points = self.arm, held or {}, points or {}
-        for joint in held:
-            if joint not in range(arm.joint_count):
-                raise unknown("joint", joint, range(arm.joint_count))
         for node in points:
             if node not in range(1, arm.node_count):
                 raise unknown("node", node, range(1, arm.node_count))
-        angles = {joint: _floats("held", angle, ()) for joint, angle in held.items()}
+        angles = {
+            arm.joint_index(joint): _floats("held", angle, ()) for joint, angle in held.items()
+        }
+        require(len(angles) == len(held), "held", list(held), "of different joints")
         places = {node: _floats("points", point, (3,)) for node, point in points.items()}
         if position is not None:
             places[arm.node_count - 1] = _floats("position", position, (3,))
@@ -223,7 +233,7 @@ class HingeNetwork:
         position: ArrayLike | None = None,
         rotation: ArrayLike | None = None,
         start: ArrayLike | None = None,
-        held: Mapping[int, ArrayLike] | None = None,
+        held: HeldJoints | None = None,
         points: Mapping[int, ArrayLike] | None = None,
         starts: int = 128,
         tolerance: tuple[float, float] = (1e-3, 1e-2),

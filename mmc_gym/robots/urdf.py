@@ -25,11 +25,12 @@ class Chain(NamedTuple):
     points: Floats
     home: Floats
     limits: Floats
+    joint_names: tuple[str, ...]
 
 
 def read_chain(path: Path | str, base: str, tip: str) -> Chain:
     """Return the chain from link `base` to link `tip`, see `HingeArm.from_urdf`."""
-    pose, axes, points, limits = np.eye(4), [], [], []
+    pose, axes, points, limits, names = np.eye(4), [], [], [], []
     for where, joint in _joints_between(Path(path), base, tip):
         if joint.origin is not None:
             pose = pose @ joint.origin
@@ -38,11 +39,12 @@ def read_chain(path: Path | str, base: str, tip: str) -> Chain:
         axes.append(pose[:3, :3] @ joint.axis)
         points.append(pose[:3, 3])
         limits.append(_limits(where, joint))
+        names.append(joint.name)
     if not axes:
         raise UserError(
             f"between base {base!r} and tip {tip!r} must be a hinge; {path} has none there"
         )
-    return Chain(np.array(axes), np.array(points), pose, np.array(limits))
+    return Chain(np.array(axes), np.array(points), pose, np.array(limits), tuple(names))
 
 
 def _joints_between(path: Path, base: str, tip: str) -> list[tuple[str, Any]]:

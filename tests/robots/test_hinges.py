@@ -46,6 +46,7 @@ def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_ref
         robot.update_cfg(angles)
         np.testing.assert_allclose(arm.forward(angles), robot.get_transform("e", "a"), atol=1e-12)
     assert arm.limits.tolist() == [[-1, 2], [-np.inf, np.inf], [-2, 2]]
+    assert arm.joint_names == ("one", "three", "four")
 
 
 LIMIT = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
@@ -188,6 +189,12 @@ def test_held_joints_give_the_forward_task():
     assert state.joint_angles.tolist() == POSTURE.tolist()
 
 
+def test_a_joint_is_held_by_its_name_or_its_index():
+    network = HingeNetwork(PANDA)
+    by_name, by_index = (network.clamp(held={joint: 0.3}) for joint in ("panda_joint2", 1))
+    assert by_name.tasks.tobytes() == by_index.tasks.tobytes()
+
+
 def test_a_target_out_of_reach_gives_the_stretched_arm():
     arm = HingeArm.named("ur5")
     solution = HingeNetwork(arm).solve([3.0, 0.0, 0.089159], starts=16)
@@ -245,7 +252,9 @@ def test_batches_are_solved_as_their_tasks_alone():
     [
         ({"position": [1.0, 2.0]}, r"position .* \(..., 3\)"),
         ({"rotation": np.eye(4)}, r"rotation .* \(..., 3, 3\)"),
-        ({"held": {7: 0.0}}, "joint 7"),
+        ({"held": {7: 0.0}}, "joint 7 .*panda_joint7 or an index from 0 to 6"),
+        ({"held": {"joint2": 0.0}}, "did you mean 'panda_joint2'"),
+        ({"held": {1: 0.0, "panda_joint2": 0.1}}, "held .* different joints"),
         ({"points": {0: [0, 0, 0]}}, "node 0"),
         ({"position": [np.nan, 0, 0]}, "position .* finite"),
         ({"start": np.full(7, np.nan)}, "start .* finite"),
@@ -294,6 +303,7 @@ def test_a_rotation_in_single_precision_is_accepted():
         (lambda arm: replace(arm, points=np.inf * arm.points), "points"),
         (lambda arm: replace(arm, home=np.diag([1, 1, -1, 1])), "home .* rotation.*determinant -1"),
         (lambda arm: replace(arm, home=np.diag([1, 1, 1, 2])), "home .* pose"),
+        (lambda arm: replace(arm, joint_names=("a",) * 7), "joint_names .* 7 different names"),
         (lambda arm: HingeArm.named("pandas"), "did you mean 'panda'"),
     ],
 )
