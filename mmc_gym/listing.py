@@ -167,9 +167,10 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     yield "task", f"{task_name}: {_about(task)}"
     for one in found.changes:
         yield "perturbation", f"{one.perturbation}: {_about(one.perturbation)}"
-    if setup.delay:
-        late = 1000 * setup.delay * setup.given_body.control_step
-        yield "delay", f"{setup.delay} control steps, {late:g} ms"
+    for heading, delay in (("delay", setup.delay), ("delay of sight", setup.vision_delay)):
+        if delay:
+            late = 1000 * delay * setup.given_body.control_step
+            yield heading, f"{delay} control steps, {late:g} ms"
     yield "agents", "\n".join(_given(found, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
     seconds = task.episode_steps * setup.given_body.control_step

@@ -41,6 +41,7 @@ from mmc_gym.envs.perturbations import (
     Perturbation,
     SegmentLength,
     SensoryDelay,
+    VisionDelay,
     VisionNoise,
     VisuomotorRotation,
 )
@@ -257,9 +258,17 @@ def _shorter(percent: float) -> SegmentLength:
     return SegmentLength(1 - percent / 100)
 
 
-def _delay(ms: float) -> SensoryDelay:
+def _seconds(ms: float) -> float:
     require(0 <= ms <= 1e6, "the delay", ms, "from 0 to 1000000 ms")
-    return SensoryDelay(ms / 1000)
+    return ms / 1000
+
+
+def _delay(ms: float) -> SensoryDelay:
+    return SensoryDelay(_seconds(ms))
+
+
+def _vision_delay(ms: float) -> VisionDelay:
+    return VisionDelay(_seconds(ms))
 
 
 def _locked(number: float, time: float = 0.0) -> LockedJoint:
@@ -338,6 +347,7 @@ _FAMILIES = (  # name, unit, description, default, make
         _vision_noise_with_distance,
     ),
     Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
+    Family("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, _vision_delay),
     Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
     Family(
         "gravity", "lengths/s²", "arm hangs in a gravity of {} segment lengths/s²", 60.0, Gravity

@@ -58,7 +58,7 @@ class Perturbation:
     def check_hooks(self) -> None:
         """Raise a `UserError` if the class changes nothing, as with a misspelt method."""
         changes = type(self).change_body is not Perturbation.change_body
-        if not changes and not isinstance(self, Noise | Cursor | SensoryDelay):
+        if not changes and not isinstance(self, Noise | Cursor | Delay):
             found = nearest("change_body", vars(type(self)))
             raise UserError(
                 f"the perturbation {type(self).__name__} must have a method change_body(self, body)"
@@ -345,19 +345,34 @@ class VisionNoise(Noise):
         return replace(seen, hand=seen.hand + std * of_hand, target=seen.target + std * of_target)
 
 
+@dataclass(frozen=True)
+class Delay(Perturbation):
+    """Senses are late; until the delay is over, they show the start."""
+
+    seconds: float = 0.1  #: the delay, at most 1,000, rounded to control steps; several add
+
+    def __post_init__(self) -> None:
+        require_between(0, LONGEST, seconds=self.seconds)
+
+
 @spelt
 @dataclass(frozen=True)
-class SensoryDelay(Perturbation):
+class SensoryDelay(Delay):
     """All observations are late; until the delay is over, they show the start.
 
     `gymnasium.wrappers.DelayObservation` shows zeros at first, which no posture has, and cannot
     wrap a vector environment.
     """
 
-    seconds: float = 0.1  #: the delay, at most 1,000, rounded to control steps; several add
 
-    def __post_init__(self) -> None:
-        require_between(0, LONGEST, seconds=self.seconds)
+@spelt
+@dataclass(frozen=True)
+class VisionDelay(Delay):
+    """Hand and target are seen late, while the joints are felt on time.
+
+    Until the delay is over, hand and target are seen where they were at the start.  People also see
+    later than they feel (Crevecoeur, Munoz & Scott 2016, J. Neurosci. 36:8598).
+    """
 
 
 def _index(name: str, index: int, count: int) -> int:

@@ -140,6 +140,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step)
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
+        self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._renderer: Renderer | None = None
         self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
@@ -263,6 +264,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
         if self.setup.lock_step == 0:
             self._arm.lock()
+        self._sights.clear()
         self._trace.clear()
         self._trace.append(self._arm.end_effector)
 
@@ -305,10 +307,12 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         info["target"] = np.array(target)
         if setup.cursor is not None:
             info["cursor"] = np.array(hand)
-        if setup.noises:
+        if setup.noises or setup.vision_delay:
+            self._sights.append((hand, target))  # as many as the delay: the first is of the start
+            hand, target = self._sights[0]
             state = arm.joint_angles, target, arm.joint_velocities, hand
             true = Seen(*(np.array([each]) for each in state))
-            return setup.observe_with_noise(true, [self.np_random])[0], reward, info
+            return setup.observe(true, [self.np_random])[0], reward, info
         seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
         return seen, reward, info
 

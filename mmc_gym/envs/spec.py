@@ -30,7 +30,14 @@ from mmc_gym._errors import (
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
-from mmc_gym.envs.perturbations import Cursor, LockedJoint, Noise, SensoryDelay
+from mmc_gym.envs.perturbations import (
+    Cursor,
+    Delay,
+    LockedJoint,
+    Noise,
+    SensoryDelay,
+    VisionDelay,
+)
 from mmc_gym.envs.tasks import RandomTarget, Request, Trial
 from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, shared_ring
 from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_speeds
@@ -112,18 +119,24 @@ class ReachSetup:
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
 
     def _disturb_senses(self, changes: Sequence[Change]) -> None:
-        """Collect noise and delay of the senses."""
-        step = self.unperturbed.control_step
+        """Collect noise and delays of the senses."""
         self.noises = [one for one in self.perturbations if isinstance(one, Noise)]  #: of senses
-        late = [one.name for one in changes if isinstance(one.perturbation, SensoryDelay)]
-        seconds = sum(one.seconds for one in self.perturbations if isinstance(one, SensoryDelay))
-        self.delay = round(seconds / step)  #: of the senses, control steps
-        if seconds and not self.delay:
-            raise UserError(
-                f"{late[0]} would delay nothing: delays are whole control steps of "
-                f"{1000 * step:g} ms, such as delay-{1000 * step:g} or delay-{2000 * step:g}"
-            )
+        self.delay = self._delay(changes, SensoryDelay)  #: of all senses, control steps
+        self.vision_delay = self._delay(changes, VisionDelay)  #: of sight, besides `delay`
         self.are_senses_disturbed = bool(self.noises or self.delay)
+
+    def _delay(self, changes: Sequence[Change], kind: type[Delay]) -> int:
+        """Return the sum of the delays of one kind, control steps."""
+        step = self.unperturbed.control_step
+        late = [one for one in changes if isinstance(one.perturbation, kind)]
+        seconds = sum(one.perturbation.seconds for one in late)  # type: ignore[attr-defined]
+        if seconds and round(seconds / step) == 0:
+            name = late[0].family.name if late[0].family else "delay"
+            raise UserError(
+                f"{late[0].name} would delay nothing: delays are whole control steps of "
+                f"{1000 * step:g} ms, such as {name}-{1000 * step:g} or {name}-{2000 * step:g}"
+            )
+        return round(seconds / step)
 
     def _change_arm(self, changes: Sequence[Change]) -> None:
         """Apply the perturbations to the arm, and find where hand and target can be."""
@@ -158,9 +171,7 @@ class ReachSetup:
         cursor: Cursor = replace(cursors[0], centre=centre)  # type: ignore[type-var]
         return cursor
 
-    def observe_with_noise(
-        self, seen: Seen, randoms: Sequence[np.random.Generator]
-    ) -> NDArray[np.float32]:
+    def observe(self, seen: Seen, randoms: Sequence[np.random.Generator]) -> NDArray[np.float32]:
         """Return observations of n arms, (n, …), with noise from the generator of each."""
 
         def draw(count: int) -> NDArray[np.float64]:
@@ -301,7 +312,7 @@ class GoalSetup(ReachSetup):
     def __init__(self, arguments: ReachArguments) -> None:
         """Raise a `UserError` if the reward would not follow from goals."""
         super().__init__(arguments)
-        if self.noises or self.delay or self.task.advance == "reach":
+        if self.noises or self.delay or self.vision_delay or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
                 f"no noise, no delay and no via points, got task={self.task}, "

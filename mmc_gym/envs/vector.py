@@ -91,6 +91,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
+        # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
+        self._sights = np.zeros((setup.vision_delay + 1, num_envs, 2, 2))
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
@@ -98,7 +100,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._compiled = CompiledStep(setup, cast("AnalyticArmBatch", self._body))
         # Whether a thread may take its arms through a whole step without waiting for the others.
         self._is_fused = (
-            self._compiled is not None and setup.task.advance == "time" and setup.cursor is None
+            self._compiled is not None
+            and setup.task.advance == "time"
+            and setup.cursor is None
+            and not setup.vision_delay
         )
 
     def reset(
@@ -152,6 +157,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
+            if self.setup.vision_delay:
+                self._sights = np.concatenate([self._sights[1:], self._sight(_EVERY)[None]])
             observation, rewards, info = self._look()
         if self.setup.lock_step:
             self._body.lock(np.flatnonzero(self._steps == self.setup.lock_step))
@@ -212,6 +219,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
+        if self.setup.vision_delay:
+            self._sights[:, arms] = self._sight(arms)
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
@@ -285,7 +294,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
         speeds = relative_speeds(self._body.joint_velocities[arms], setup.given_body.speed_limit)
         observation: Any = None
-        if not setup.noises:
+        if not (setup.noises or setup.vision_delay):
             angles = self._body.joint_angles[arms]
             observation = setup.layout.encode(angles, speeds, hand=hands, target=targets)
         distance = distances(hands, targets)
@@ -298,15 +307,18 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return self._sensed(arms, hands, observation, info), rewards, info
 
     def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
-        """Return what these arms observe, noise included; write the cursor into `info`."""
+        """Return what these arms observe, noise and late sight included; complete `info`."""
         if self.setup.cursor is not None:
             info["cursor"] = hands
-        if not self.setup.noises:
+        if not (self.setup.noises or self.setup.vision_delay):
             return observation
+        targets = self._targets[arms]
+        if self.setup.vision_delay:
+            hands, targets = self._sights[0, arms].swapaxes(0, 1)
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
-        true = Seen(angles, self._targets[arms], velocities, hands)
+        true = Seen(angles, targets, velocities, hands)
         randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
-        return self.setup.observe_with_noise(true, randoms)
+        return self.setup.observe(true, randoms)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Tell which arms have their last target: only reaching that one is a success."""
@@ -325,6 +337,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             return hands
         (x, y), targets = hands.T, self._targets[arms].T
         return np.stack(self.setup.cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
+
+    def _sight(self, arms: Indices | slice) -> Floats:
+        """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""
+        return np.stack([self._seen_hands(arms), self._targets[arms]], axis=1)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
         """Let these arms see this observation until the delay of the senses is over."""

@@ -42,11 +42,11 @@ from mmc_gym.envs.names import Change, TaskEntry, parse_change
 from mmc_gym.envs.perturbations import (
     Cursor,
     CursorJump,
+    Delay,
     ErrorClamp,
     ForceField,
     Noise,
     Perturbation,
-    SensoryDelay,
 )
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.tasks import CuedTarget, outward
@@ -129,7 +129,7 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
 
 
 def _is_of_senses(change: Change) -> bool:
-    return isinstance(change.perturbation, Noise | SensoryDelay)
+    return isinstance(change.perturbation, Noise | Delay)
 
 
 @_explained

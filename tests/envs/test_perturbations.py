@@ -161,7 +161,7 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, dist
     np.testing.assert_allclose(seen.target - (0.0, distance), 0.01 + 0.05 * distance)
 
 
-@pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100"])
+@pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100", "vision-delay-100"])
 def test_noise_and_delay_change_neither_reward_nor_info(name):
     disturbed, plain = MMCReachEnv(perturbations=name), MMCReachEnv()
     for env in (disturbed, plain):
@@ -184,6 +184,20 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(name, st
         for step, action in enumerate(rough_actions(40, seed), start=1):
             seen, shown = late.step(action)[0], wrapped.step(action)[0]
             assert np.array_equal(seen, shown if step > steps else start)
+
+
+def test_late_sight_shows_hand_and_target_late_and_the_joints_on_time():
+    env, steps = MMCReachEnv(task="pursuit", perturbations="vision-delay-60"), 3
+    observation, info = env.reset(seed=0)
+    places = [(info["target"], info["end_effector"])] * (steps + 1)
+    interface = ReachInterface.of(env)
+    for action in rough_actions(20, seed=0):
+        observation, _, _, _, info = env.step(action)
+        places = [*places[1:], (info["target"], info["end_effector"])]
+        seen = interface.see(observation)
+        np.testing.assert_allclose((seen.target, seen.hand), places[0], atol=1e-6)
+        assert np.abs(wrap_angle(seen.joint_angles - joint_angles(env))).max() < 1e-6
+        np.testing.assert_allclose(seen.joint_speeds, env.arm.joint_velocities, atol=1e-5)
 
 
 @pytest.mark.parametrize(

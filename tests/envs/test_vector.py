@@ -48,6 +48,10 @@ VARIANTS = {
     "locks": {"perturbations": ("locks",)},
     "noise": {"perturbations": ("joint-noise-speed", "vision-noise-distance")},
     "late": {"perturbations": ("delay-40",)},
+    "late sight": {"task": "double-step-100", "perturbations": ("vision-delay-60",)},
+    "late noisy sight of a cursor": {
+        "perturbations": ("vision-delay-60", "vision-noise", "delay-40", "rotation-30"),
+    },
     "obstacles": {"perturbations": ("obstacles",)},
     "all at once": {
         "task": "double-step-200",
