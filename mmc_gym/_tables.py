@@ -87,7 +87,7 @@ def to_html(table: Table) -> str:
 def _html_heading(heading: Heading) -> str:
     unit = f' <span class="unit">[{escape(heading.unit)}]</span>' if heading.unit else ""
     better = f'<span class="way">{escape(heading.better)}</span>' if heading.better else ""
-    return f"{_html_text(heading.label)}{unit}{better}"
+    return f'<div class="heading">{_html_text(heading.label)}{unit}{better}</div>'
 
 
 def _html_row(row: Row) -> str:
@@ -108,7 +108,8 @@ def _html_cell(cell: Cell) -> str:
 
 
 def _html_note(note: str) -> str:
-    return f'<div class="note">{escape(note)}</div>'
+    shown = re.sub("`(.+?)`", r"<code>\1</code>", escape(note))
+    return f'<div class="note">{shown}</div>'
 
 
 def _html_text(text: str) -> str:

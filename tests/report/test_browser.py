@@ -6,6 +6,7 @@ See `browser` and `keep` in `tests/conftest.py`.
 import base64
 import re
 
+import numpy as np
 import pytest
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -192,6 +193,21 @@ def test_the_page_fits_the_width_of_a_small_screen(page, width, screenshot):
     assert sizes[0] <= sizes[1] == width
     if width == 375:
         screenshot("report-phone.png")
+
+
+@pytest.mark.parametrize(("scheme", "darkest"), [("light", "text"), ("dark", "ground")])
+def test_text_is_readable_on_a_light_and_on_a_dark_ground(page, scheme, darkest, screenshot):
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+    look = "const look = getComputedStyle(document.querySelector(arguments[0]));"
+    look += "return [look.color, look.backgroundColor].map(one => one.match(/\\d+/g).map(Number))"
+    for part in ("body", "tbody th", "select", "#replay-play"):
+        text, ground = (np.mean(colour[:3]) for colour in page.execute_script(look, part))
+        assert abs(text - ground) > 120, part
+        if part == "body":
+            assert (text < ground) == (darkest == "text")
+    screenshot(f"report-{scheme}.png")
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 def test_on_paper_all_tables_are_open(page, keep):
