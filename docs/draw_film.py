@@ -22,7 +22,7 @@ from mmc_gym.measures import episode_seeds, run_episodes
 AGENTS = ("mmc", "mmc-body", "ppo")
 EPISODES = (0, 11)  # of those that `mmc-gym compare` plays
 SCENARIO = parse_scenario("locks-2", render_mode="rgb_array")
-SIZE = 288  # pixels of a panel
+SIZE = 360  # pixels of a panel
 COLOURS = 64
 
 

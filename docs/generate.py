@@ -320,7 +320,11 @@ def scenario_page(one: Scenario, picture: str, counts: dict[str, int] | None) ->
         benchmark,
     )
     for heading, text in facts[2:]:
-        lines += [f"**{heading[0].upper()}{heading[1:]}**", *definition(text, one, heading), ""]
+        lines += [f"**{heading[0].upper()}{heading[1:]}**"]
+        if language := {"experiment": "yaml", "run it": "sh"}.get(heading):
+            lines += ["", *code(language, *text.splitlines())]
+        else:
+            lines += [*definition(text, one, heading), ""]
     lines += ["All else is as in [MMCReach-v0](reach.md).", ""]
     return "\n".join(lines)
 
@@ -386,13 +390,15 @@ def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
 
 
 def named(picture: Image.Image, agent: str) -> Image.Image:
-    """Write the agent's name over the caption, large enough for a narrow screen."""
-    width, height = picture.size[0], picture.size[0] // 9
-    draw = ImageDraw.Draw(picture)
-    caption = (0, 0, 0.6 * width, 0.04 * width)
-    draw.rectangle(caption, fill=picture.getpixel((0, width - 1)))
-    draw.text((6, 1), agent, font=ImageFont.load_default(height), fill=(30, 40, 60))
-    return picture
+    """Write the agent's name above the disc, large enough for a narrow screen."""
+    width, caption = picture.width, picture.width // 25
+    height = width // 9
+    shift = height - caption
+    found = Image.new("RGB", (width, picture.height + shift), picture.getpixel((0, width - 1)))
+    found.paste(picture.crop((0, caption, width, picture.height)), (0, height))
+    draw = ImageDraw.Draw(found)
+    draw.text((6, 0), agent, font=ImageFont.load_default(0.85 * height), fill=(30, 40, 60))
+    return found
 
 
 def moving_picture(films: list[list[Image.Image]]) -> bytes:

@@ -176,7 +176,11 @@
   }
   // A busy page is handed several entries at once: the last one holds.
   new IntersectionObserver((seen) => { isSeen = seen.at(-1).isIntersecting; }).observe(stage);
-  document.documentElement.classList.toggle("is-embedded", self !== top);
+  if (self !== top) {  // the page around it makes room for all of it
+    document.documentElement.classList.add("is-embedded");
+    const say = () => parent.postMessage({ playground: document.body.offsetHeight }, "*");
+    new ResizeObserver(say).observe(document.body);
+  }
   find("form").reset();  // browsers may keep what was chosen before a reload
   rebuild();
   still.addEventListener("change", changed);
