@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import io
 import json
+import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -24,6 +25,7 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.display import progress_message
 from sphinx_gallery.scrapers import matplotlib_scraper
 
@@ -33,6 +35,8 @@ from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
 from mmc_gym.agents import resolve
 from mmc_gym.benchmark.suite import SCENARIOS, Arms, make_player, play_episodes
+from mmc_gym.body import parameters
+from mmc_gym.envs import arguments
 from mmc_gym.envs.names import FAMILIES, TASKS
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import Scenario, parse_scenario
@@ -198,8 +202,6 @@ def all_scenarios() -> dict[str, Scenario]:
 def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
     """Write the pages of the environments' classes, of all scenarios, and their index."""
     kept = generated / "films" / digest(*FILMED_ROOMS)
-    for kind, page in PAGE_OF_CLASS.items():
-        write(folder / f"{Path(page).name}.md", class_page(kind))
     scenarios = all_scenarios()
     some = [name for group in FILMED.values() for name in group]
     for old in kept.parent.glob("*"):
@@ -215,23 +217,33 @@ def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
         picture = f"../{facts.relative_to(generated.parent).with_suffix('.webp')}"
         write(folder / f"{name}.md", scenario_page(one, picture, counts))
     cards = kept.relative_to(generated.parent) if asked else None
+    for kind, page in PAGE_OF_CLASS.items():
+        write(folder / f"{Path(page).name}.md", class_page(kind, cards))
     write(folder / "index.md", index_page(scenarios, cards))
     for page in folder.glob("*.md"):  # of an earlier build
         if page.stem not in {"index", "reach", "goal", *scenarios}:
             page.unlink()
 
 
-def class_page(kind: type[MMCReachEnv]) -> str:
-    """Return the page of an environment's class: its docstring, which is Markdown."""
+def class_page(kind: type[MMCReachEnv], films: Path | None) -> str:
+    """Return the page of an environment's class: film, docstring in Markdown, and arguments."""
     env_id = f"{kind.__name__.removesuffix('Env')}-v0"
     spec = gym.spec(env_id)
     lines = [
         f"# {env_id}",
         "",
+        *(
+            [f"![{AGENTS_IN_WORDS} reach for a target](../{films}/random.webp)", ""]
+            if films
+            else []
+        ),
+        *code("python", "import gymnasium as gym", "import mmc_gym", "", f'gym.make("{env_id}")'),
         inspect.getdoc(kind) or "",
         "",
-        "## Signature",
-        *code("python", f"{kind.__name__}(", *_defaults(kind), ")"),
+        "## All arguments",
+        "",
+        *arguments_table(kind),
+        "",
         "## Registered as",
         f"`{env_id}`, single (`{spec.entry_point}`) and vector (`{spec.vector_entry_point}`), with "
         f"at most {spec.max_episode_steps} steps in an episode.",
@@ -240,10 +252,21 @@ def class_page(kind: type[MMCReachEnv]) -> str:
     return "\n".join(lines)
 
 
-def _defaults(kind: type[MMCReachEnv]) -> Iterator[str]:
-    """Yield a line of code for each argument of an environment, with its default."""
+def arguments_table(kind: type[MMCReachEnv]) -> Iterator[str]:
+    """Yield a Markdown table of an environment's arguments: the fields of its dataclass."""
+    notes: dict[str, str] = {}
+    for module in (parameters, arguments):
+        comments = ModuleAnalyzer.for_module(module.__name__).find_attr_docs()
+        for (_, name), lines in comments.items():
+            notes.setdefault(name, " ".join(lines).replace(".  ", ". ").strip())
+    yield "| argument | type | default | what it is |"
+    yield "| --- | --- | --- | --- |"
     for one in inspect.signature(kind).parameters.values():
-        yield f"    {one.name}={one.default!r},"
+        of_type = inspect.formatannotation(one.annotation)
+        of_type = re.sub(r"Literal\[(.*?)\]", lambda found: found[1].replace(",", " |"), of_type)
+        of_type = re.sub(r"\b(?:\w+\.)+(\w)", r"\1", of_type)  # without the names of modules
+        cells = (f"`{one.name}`", f"`{of_type}`", f"`{one.default!r}`", notes[one.name])
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
@@ -252,8 +275,9 @@ def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
         "# Environments",
         "",
         "One arm, many ways to make reaching hard. [MMCReach-v0](reach.md) describes the arm, its",
-        "actions, observations and rewards. A *task* says where the target is, a *perturbation*",
-        "what goes wrong. Together they have one name, with any strength:",
+        "actions, observations and rewards. [MMCReachGoal-v0](goal.md) is the same arm with goals",
+        "in its observations, for hindsight replay (HER). A *task* says where the target is, a",
+        "*perturbation* what goes wrong. Together they have one name, with any strength:",
         "`[<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]`.",
         "",
         *code("python", "import mmc_gym", "", 'env = mmc_gym.make("centre-out+rotation-30")'),

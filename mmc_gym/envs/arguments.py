@@ -43,13 +43,13 @@ class ReachArguments(ArmParameters):
     """The arguments of every reaching environment; those of the arm are `ArmParameters`."""
 
     control: Control = "joint_delta"  #: what actions mean
-    reward_type: RewardType = "dense"
+    reward_type: RewardType = "dense"  #: "sparse": 0 at the target, −1 elsewhere
     control_weight: float = 1.0  #: of the cost of joint speeds
     precision_weight: float = 1.0  #: of the reward near the target
     smoothness_weight: float = 0.0  #: of the cost of changing joint speeds
     success_distance: float = 0.05  #: largest distance to a reached target, segment lengths
-    task: str | Task = "random"
-    perturbations: AnyChange | Sequence[AnyChange] = ()
+    task: str | Task = "random"  #: where the target is and how it moves
+    perturbations: AnyChange | Sequence[AnyChange] = ()  #: of body, cursor or senses: `"delay-160"`
     engine: Engine = "pymunk"  #: what simulates the arm
 
     def __post_init__(self) -> None:
