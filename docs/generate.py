@@ -24,7 +24,7 @@ from typing import Any
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont, ImageOps
+from PIL import Image, ImageOps
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.display import progress_message
 from sphinx_gallery.scrapers import matplotlib_scraper
@@ -43,6 +43,7 @@ from mmc_gym.envs.scenarios import Scenario, parse_scenario
 from mmc_gym.listing import describe
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.reaching import success
+from mmc_gym.record import named
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -411,18 +412,6 @@ def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
         episodes = play_episodes(found, arms, world, player, seeds, timed=0)
     world.close()
     return sum(map(int, map(success, episodes))), filmed.pictures
-
-
-def named(picture: Image.Image, agent: str) -> Image.Image:
-    """Write the agent's name above the disc, large enough for a narrow screen."""
-    width, caption = picture.width, picture.width // 25
-    height = width // 9
-    shift = height - caption
-    found = Image.new("RGB", (width, picture.height + shift), picture.getpixel((0, width - 1)))
-    found.paste(picture.crop((0, caption, width, picture.height)), (0, height))
-    draw = ImageDraw.Draw(found)
-    draw.text((6, 0), agent, font=ImageFont.load_default(0.85 * height), fill=(30, 40, 60))
-    return found
 
 
 def moving_picture(films: list[list[Image.Image]]) -> bytes:

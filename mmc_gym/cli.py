@@ -159,6 +159,7 @@ def compare(
     seed: Number = 0,
     out: Place = Path("runs/compare"),
     interface: Text = None,
+    explain: Switch = False,
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
@@ -173,10 +174,11 @@ def compare(
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
         interface: Of your own environment, module:name: where in its observations things are.
+        explain: Print all of how to read the numbers.
     """
     from mmc_gym.benchmark import compare
 
-    shared = {**more.load(), "interface": interface, "focus": focus}
+    shared = {**more.load(), "interface": interface, "focus": focus, "explain": explain}
     env = _one("scenarios", scenarios, "benchmark plays several")
     compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
@@ -450,26 +452,29 @@ def record(
     episodes: Number = 1,
     seed: Number = 0,
     out: Place = Path("runs/film.gif"),
+    every: Number = 1,
     interface: Text = None,
     more: PlayOptions = PLAYED,
 ) -> None:
-    """Write a film of an agent at work, as .gif or .mp4; this needs no display.
+    """Write a film of agents at work, side by side, as .gif or .mp4; this needs no display.
 
     Args:
-        agents: The agent, see compare.
+        agents: The agents, see compare.
         scenarios: The scenario, see compare.
         episodes: How many episodes follow each other.
         seed: Seed of the starts and targets; the episodes are those of compare.
         out: The file to write; .mp4 needs the extra "video".
+        every: Control steps from one picture to the next; more make a smaller file.
         interface: Of your own environment, see compare.
     """
     from mmc_gym.record import record
 
     shared = {**more.load(), "interface": interface}
-    agent, env = _one("agents", agents), _one("scenarios", scenarios)
+    shared |= {"every": every}
+    env = _one("scenarios", scenarios)
     with progress_bar() as bar:
-        task = bar.add_task("episodes", total=episodes)
-        record(out, agent, env, episodes, seed, lambda _: bar.advance(task), **shared)
+        task = bar.add_task("episodes", total=episodes * len(agents))
+        record(out, agents, env, episodes, seed, lambda _: bar.advance(task), **shared)
     print(f"wrote {out}")
 
 

@@ -1,4 +1,4 @@
-"""Record: films of agents as GIF or MP4, without a display."""
+"""Record: films of agents, alone or side by side, as GIF or MP4, without a display."""
 
 from __future__ import annotations
 
@@ -6,29 +6,34 @@ import io
 import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, missing
+from mmc_gym._errors import UserError, missing, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, resolve
+from mmc_gym.agents.resolver import AgentLike, Agents, resolve_all
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import EnvLike, parse_environment
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 Picture = NDArray[np.uint8]
+_HELD = 1.0  # seconds for which the end of an episode is shown
 _LEAST_DURATION = 0.02  # seconds for each picture of a GIF; browsers show shorter ones more slowly
 
 
 def record(
     out: Path | str,
-    agent: AgentLike = "mmc",
+    agents: AgentLike | Agents = "mmc",
     env: EnvLike = "MMCReach-v0",
     episodes: int = 1,
     seed: int = 0,
@@ -37,11 +42,14 @@ def record(
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
+    every: int = 1,
 ) -> Path:
-    """Write a film of an agent in the first episodes that `compare` plays, and return its path.
+    """Write a film of agents in the first episodes that `compare` plays, and return its path.
 
-    The file `out` ends in .gif, or in .mp4, which needs the extra `video`.  `on_episode` is called
-    with each episode after it ends.  The other arguments are those of `mmc_gym.compare`.
+    The file `out` ends in .gif, or in .mp4, which needs the extra `video`.  Several agents are side
+    by side, half as large, under their names.  `on_episode` is called with each episode after it
+    ends.  There is a picture of `every` so many steps; the film runs as fast.  The other arguments
+    are those of `mmc_gym.compare`.
     """
     out = Path(out)
     films = {".gif": gif, ".mp4": mp4}
@@ -49,32 +57,69 @@ def record(
         raise UserError(f"out must be a file that ends in .gif or .mp4, got {str(out)!r}")
     if out.suffix == ".mp4":
         _require_ffmpeg()
-    resolved = resolve(agent, allow_pickle=allow_pickle)
-    seeds = episode_seeds(seed, episodes)
+    several: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
+    found = resolve_all(several, allow_pickle=allow_pickle, every_training=False)
+    seeds, every = episode_seeds(seed, episodes), require_whole("every", every)
     given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
-    world, player = make_player(resolved, parse_environment(env, given, interface))
-    try:
-        pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
-        film = films[out.suffix](pictures, world.metadata["render_fps"])
-    finally:
-        world.close()
-    return write_atomically(out, film)
+    scenario = parse_environment(env, given, interface)
+    with ExitStack() as stack:
+        played: dict[str, tuple[Predictor, RenderCollection[Any, Any]]] = {}
+        for one in found:
+            world, player = make_player(one, scenario)
+            stack.callback(world.close)
+            played[one.label] = player, RenderCollection(world)
+        rate = world.metadata["render_fps"] / every
+        pictures = _pictures(played, seeds, on_episode, every, math.ceil(_HELD * rate))
+        return write_atomically(out, films[out.suffix](pictures, rate))
 
 
 def _pictures(
-    player: Predictor,
-    world: RenderCollection[Any, Any],
+    played: Mapping[str, tuple[Predictor, RenderCollection[Any, Any]]],
     seeds: Sequence[int],
     on_episode: Callable[[Episode], None] | None,
+    every: int,
+    held: int,
 ) -> Iterator[Picture]:
-    """Play the episodes and yield a picture of each start and each step."""
+    """Play the episodes; yield a picture of each start, of `every` so many steps, and of the end.
+
+    The end is yielded so many more times as it is `held`.
+    """
     for seed in seeds:
-        run_episodes(player, world, [seed], on_episode, records_effort=False)
-        frames: Any = world.render()
-        yield from frames
+        films: list[Sequence[Picture]] = []
+        for player, world in played.values():
+            run_episodes(player, world, [seed], on_episode, records_effort=False)
+            frames: Any = world.render()
+            films.append(frames)
+        longest = max(films, key=len)
+        shown = [*range(0, len(longest) - 1, every), *[len(longest) - 1] * (1 + held)]
+        for number in shown:
+            panels = [film[min(number, len(film) - 1)] for film in films]
+            yield panels[0] if len(panels) == 1 else _side_by_side(panels, list(played))
 
 
-def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
+def _side_by_side(panels: Sequence[Picture], names: Sequence[str]) -> Picture:
+    """Return pictures next to each other, half as large, under their names."""
+    from PIL import Image
+
+    halves = [Image.fromarray(panel).reduce(2) for panel in panels]
+    return np.hstack([np.asarray(named(half, name)) for half, name in zip(halves, names)])
+
+
+def named(picture: Image.Image, name: str) -> Image.Image:
+    """Return a picture with a name in place of its caption, large enough for a narrow screen."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    width, height, caption = picture.width, picture.width // 9, picture.width // 25
+    disc = picture.crop((0, caption, width, picture.height))
+    tall = -(-(height + disc.height) // 16) * 16  # as encoders of video like it
+    found = Image.new("RGB", (width, tall), picture.getpixel((0, width - 1)))
+    found.paste(disc, (0, tall - disc.height))
+    font = ImageFont.load_default(0.85 * height)
+    ImageDraw.Draw(found).text((6, 0), name, font=font, fill=(30, 40, 60))
+    return found
+
+
+def gif(pictures: Iterable[Picture], frame_rate: float) -> bytes:
     """Return pictures (height, width, 3) as a GIF that loops, at most 50 pictures a second."""
     from PIL import Image
 
@@ -96,7 +141,7 @@ def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
     return film.getvalue()
 
 
-def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
+def mp4(pictures: Iterable[Picture], frame_rate: float) -> bytes:
     """Return pictures (height, width, 3) as an MP4 film, H.264."""
     write_frames = _require_ffmpeg()
     with tempfile.TemporaryDirectory() as folder:

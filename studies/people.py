@@ -23,7 +23,7 @@ from rich.progress import track
 
 from mmc_gym.agents.body_model.agent import ik_body
 from mmc_gym.agents.body_model.parts import Parts
-from mmc_gym.benchmark.statistics import bootstrap_interval
+from mmc_gym.benchmark.statistics import sample_interval
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.experiments.results import (
     ExperimentResult,
@@ -85,7 +85,7 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
                 if name in MEASURES:
                     known = MEASURES[name]
                     values = [known.of(one) for one in played[0]]
-                    found = vars(bootstrap_interval(values, known.statistic))
+                    found = vars(sample_interval(values, known.statistic))
                 else:
                     known = LAWS[name]
                     found = {"estimate": known.of(played[0]), "low": math.nan, "high": math.nan}

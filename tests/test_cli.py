@@ -85,7 +85,7 @@ def test_an_interruption_or_too_little_memory_is_one_line(error, status, line, m
         ("compar", "command 'compar' is not accepted; did you mean 'compare'?"),
         ("compare --agnts mmc", "option of compare '--agnts' is not accepted; did you mean '--ag"),
         ("compare mmc", "must be followed by options, got 'mmc'; did you mean --agents mmc?"),
-        ("record --agents mmc ppo", "--agents must be exactly one here, got mmc ppo"),
+        ("play --agents mmc ppo", "--agents must be exactly one here, got mmc ppo"),
         ("compare --agents mmc --focus ppo", "focus 'ppo' is not accepted. It may be mmc"),
     ],
 )

@@ -39,9 +39,9 @@ def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
         for frame in ImageSequence.Iterator(film):  # alike ones are one, shown for longer
             frames.append(np.asarray(frame.convert("RGB"), int))
             ends.append((ends or [0])[-1] + frame.info["duration"])
-    assert ends[-1] == 20 * len(pictures)
-    for number in (0, 12, 21, 41):
-        shown = frames[np.searchsorted(ends, 20 * number, side="right")]
+    assert ends[-1] == 20 * len(pictures) + 2 * 1000  # each end is held for a second
+    for number, held in ((0, 0), (12, 0), (21, 1000), (41, 1000)):
+        shown = frames[np.searchsorted(ends, 20 * number + held, side="right")]
         assert np.abs(shown - pictures[number]).mean() < 1.0  # of 256; it has but 256 colours
 
 
@@ -53,9 +53,22 @@ def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
     facts = next(frames)
     assert (facts["fps"], facts["size"], facts["codec"]) == (50, (640, 640), "h264")
     film = [np.frombuffer(one, np.uint8).reshape(640, 640, 3) for one in frames]
-    assert len(film) == 21
+    assert len(film) == 21 + 50
     for number in (0, 12):
         assert np.abs(film[number].astype(int) - pictures[number]).mean() < 4.0
+
+
+def test_several_agents_are_side_by_side_under_their_names(tmp_path, pictures):
+    agents = {"one": TURNER, "two": TURNER}
+    path = record(tmp_path / "film.gif", agents, seed=3, env_kwargs=STEPS, every=4)
+    with Image.open(path) as film:
+        assert film.size == (640, 352) and film.info["duration"] == 80  # ms
+        frames = [np.asarray(one.convert("RGB"), int) for one in ImageSequence.Iterator(film)]
+    left, right = np.split(frames[-1], 2, axis=1)
+    alone = np.asarray(Image.fromarray(pictures[20]).reduce(2), int)[12:]  # without its caption
+    for half in (left, right):
+        assert np.abs(half[-len(alone) :] - alone).mean() < 1.0
+    assert (left[:40] != right[:40]).any()  # their names
 
 
 def test_a_film_that_fails_leaves_the_old_one(tmp_path):

@@ -73,6 +73,7 @@ def compare(
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
+    explain: bool = False,
 ) -> Comparison:
     """Let agents play the same episodes.
 
@@ -98,6 +99,7 @@ def compare(
             Measures of what it does not report are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
+        explain: whether to print all of how to read the numbers, see `Comparison.explanation`.
 
     >>> comparison = compare(["random"], episodes=2)
     >>> comparison
@@ -156,7 +158,7 @@ def compare(
     # Files first: an error in printing should not lose them.
     written = comparison.write(out) if out is not None else []
     if console is not None:
-        comparison.print(console)
+        comparison.print(console, explain)
         print_written(console, written)
     return comparison
 
@@ -256,17 +258,36 @@ class Comparison:
 
     @property
     def note(self) -> str:
-        """How to read the numbers: the lines below the table, and in summary.json."""
+        """How to read the numbers, in short: the lines below the table."""
+        several = [f"{agent} ({count})" for agent, count in self.trainings.items() if count > 1]
+        trainings = f"; of {', '.join(several)} over trainings, too" if several else ""
+        return (
+            f"{self._played} Medians (of shares means) with 95 % intervals over episodes, NOT over "
+            f"trainings{trainings}. k of {self._episodes}: as many have a value. --explain (in "
+            "Python explanation) says more."
+        )
+
+    @property
+    def _played(self) -> str:
+        """What was played, in a sentence."""
+        arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
+        return (
+            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, the "
+            "same starts and targets for all agents."
+        )
+
+    @property
+    def explanation(self) -> str:
+        """How to read the numbers, in full: with `--explain`, and in summary.json."""
         shown, time = self._shown, MEASURES["time_to_target"].label
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         of_all = ", ".join(one.label for one in shown if not (one.successes_only or one.sampled))
-        arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
         sentences = [
-            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, the "
-            "same starts and targets for all agents.",
-            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
-            f"segment lengths; at the target: {_within(self._first.tolerance)}.",
+            self._played,
+            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals, Wilson's of a "
+            "share in one training; lengths in segment lengths; at the target: "
+            f"{_within(self._first.tolerance)}.",
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
             f"{self._episodes} have a value (none where the hand started there); "
             f"{MEASURES['action_time'].label}: of those played one by one, the first {TIMED} of an "
@@ -308,11 +329,12 @@ class Comparison:
             "tolerance": None if math.isnan(tolerance) else tolerance,
             "confidence": CONFIDENCE,
             "bootstrap_resamples": RESAMPLES,
-            "bootstrap_method": "percentile, over episodes, and trainings if an agent has several",
+            "bootstrap_method": "percentile, over episodes, and trainings if an agent has several; "
+            "Wilson's interval of the share of successes in one training",
             "python": platform.python_version(),
             "machine": f"{platform.system()} {platform.machine()}",
             "versions": {package: version(package) for package in _PACKAGES},
-            "note": self.note,
+            "note": self.explanation,
         }
 
     def to_frame(self, value: str = "estimate") -> pd.DataFrame:
@@ -346,12 +368,13 @@ class Comparison:
         one = self._first
         return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
 
-    def print(self, console: Console | None = None) -> None:
-        """Print headline, table and note; to standard output by default."""
+    def print(self, console: Console | None = None, explain: bool = False) -> None:
+        """Print headline, table and note, or `explanation`; to standard output by default."""
         console = console or make_console()
         for text in (self.headline, *self.differences.splitlines()):
             console.print(text_for(console, text))
-        print_table(console, self._table)
+        table = self._table
+        print_table(console, table._replace(caption=self.explanation) if explain else table)
 
     def write(self, out: Path) -> list[Path]:
         """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""

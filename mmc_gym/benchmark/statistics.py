@@ -22,8 +22,12 @@ Episodes of one policy are never drawn as if each came from its own training.
                   policy is treated alike: its interval does not cover other trainings.
     one value     A single policy with values at a single instance has no interval: all draws give
                   the same value, which says nothing about others.
+    shares        The share of episodes that a single policy succeeds in, in one environment, has
+                  Wilson's interval instead: after 0 of 20 a bootstrap gives [0, 0], Wilson's is
+                  [0, 0.16].  So it is in several environments if all episodes are alike, of as
+                  many episodes as there are instances.
 
-A plain sample is the simplest case: one policy in one environment (`bootstrap_interval`).
+A plain sample is the simplest case: one policy in one environment (`sample_interval`).
 
 Source: Agarwal, Schwarzer, Castro, Courville & Bellemare (2021), Deep reinforcement learning at the
 edge of the statistical precipice, NeurIPS 34, https://arxiv.org/abs/2108.13264.  Unlike there,
@@ -37,6 +41,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from statistics import NormalDist
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -208,7 +213,15 @@ class Bootstrap:
 
     def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
         """Estimate a statistic of an agent over its training seeds and all instances."""
-        return Estimate.of(self.distribution(agent, statistic))
+        found = Estimate.of(self.distribution(agent, statistic))
+        tables = self.scores.values[agent]
+        is_alone = len(tables[0]) == 1 and (len(tables) == 1 or found.low == found.high)
+        if not (is_alone and statistic == "mean" and math.isfinite(found.low)):
+            return found
+        known = [table[~np.isnan(table)] for table in tables]
+        if not np.isin(np.concatenate(known), (0.0, 1.0)).all():
+            return found
+        return Estimate(found.estimate, *wilson_interval(found.estimate, max(map(len, known))))
 
     def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""
@@ -276,8 +289,10 @@ class Bootstrap:
             values = np.where(known, scores, 0.0).sum(axis=0)
             total += _weighted_sums(shares, policies, values)[:, 0]
             weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
+        values = np.concatenate([table.ravel() for table in self.scores.values[agent]])
+        ends = np.fmin.reduce(values), np.fmax.reduce(values)
         with np.errstate(invalid="ignore"):
-            return np.asarray(total / weight)
+            return np.clip(total / weight, *ends)  # rounding may leave the range
 
     def _medians(self, agent: str) -> Floats:
         (table,) = self.scores.values[agent]
@@ -368,21 +383,36 @@ class Interval:
     missing: int
 
 
-def bootstrap_interval(
+def wilson_interval(share: float, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, from the share of successes in `count`.
+
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22: 209-212.
+
+    >>> [round(end, 2) for end in wilson_interval(0.0, 20)]
+    [0.0, 0.16]
+    """
+    z2 = NormalDist().inv_cdf(TAILS[1]) ** 2
+    middle = share + z2 / (2 * count)
+    half = math.sqrt(z2 / count * (share * (1 - share) + z2 / (4 * count)))
+    whole = 1 + z2 / count
+    return max(0.0, (middle - half) / whole), min(1.0, (middle + half) / whole)
+
+
+def sample_interval(
     values: ArrayLike, statistic: Statistic, seed: int = 0, resamples: int = RESAMPLES
 ) -> Interval:
-    """Return the mean or median of `values` with its 95 % percentile bootstrap interval.
+    """Return the mean or median of `values` with its 95 % interval: percentile bootstrap.
 
-    Percentile, not BCa: the jackknife in BCa fails for the median.  It does not cover rare events
-    that did not occur: after n successes in n episodes a failure rate of 3/n is still plausible.
-    There is a value per episode, (episodes,), or there are several trainings on the same episodes,
-    (trainings, episodes), and then both are resampled.  NaNs are left out and counted.
+    Percentile, not BCa: the jackknife in BCa fails for the median.  The mean of zeros and ones has
+    Wilson's interval instead, if it is of one sample.  There is a value per episode, (episodes,),
+    or there are several trainings on the same episodes, (trainings, episodes), and then both are
+    resampled.  NaNs are left out and counted.
 
     Source: Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
 
-    >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
+    >>> sample_interval([2.0, 2.0, float("nan")], "mean")
     Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
-    >>> found = bootstrap_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
+    >>> found = sample_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
     >>> found.estimate, found.low, found.high, found.count
     (0.5, 0.0, 1.0, 6)
     """
@@ -394,12 +424,11 @@ def bootstrap_interval(
     if is_sample:
         table = present[None]
     scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
-    found = Bootstrap(scores, resamples, seed).distribution("", statistic)
-    middle = np.mean(present) if is_sample and statistic == "mean" else found[0]
-    ends = (float(middle), *percentile_interval(found[1:]))
-    # Rounding may put a mean outside the range of the values.
-    estimate, low, high = np.clip(ends, present.min(), present.max()).tolist()
-    return Interval(estimate, low, high, present.size, missing)
+    found = Bootstrap(scores, resamples, seed).estimate("", statistic)
+    if is_sample and statistic == "mean":  # not from shares, so that 7 of 20 is 0.35
+        mean = float(np.clip(np.mean(present), present.min(), present.max()))
+        found = found._replace(estimate=mean)
+    return Interval(*found, present.size, missing)
 
 
 def resampled_means(samples: ArrayLike, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
@@ -466,7 +495,7 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
         for measure in measures:
             values = group[measure.name].to_numpy(np.float64)
             table = values.reshape(trainings, -1) if trainings > 1 else values
-            found = bootstrap_interval(table, measure.statistic, seed)
+            found = sample_interval(table, measure.statistic, seed)
             facts = {"measure": measure.name, "unit": measure.unit, "statistic": measure.statistic}
             rows.append({"agent": agent, **facts, **vars(found)})
     return pd.DataFrame(rows)

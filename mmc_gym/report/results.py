@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,7 @@ from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
 from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
-from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap
+from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
@@ -113,6 +113,13 @@ class Environment:
     tolerance: float = math.nan  #: distance from the target that counts as success, segment lengths
 
 
+class Success(NamedTuple):
+    """The success of an agent in a scenario."""
+
+    estimate: Estimate
+    resampled: Floats  #: in the data, then in each resample, for differences to other agents
+
+
 @dataclass(frozen=True, eq=False)
 class Results:
     """The results of a benchmark."""
@@ -193,8 +200,8 @@ class Results:
         return self._replayed_failures.get((agent, environment), [])[:REPLAYED_INSTANCES]
 
     @cached_property
-    def successes(self) -> dict[str, dict[str, Floats]]:
-        """For `ALL` and each scenario, the resampled success of each agent that attempted it."""
+    def successes(self) -> dict[str, dict[str, Success]]:
+        """For `ALL` and each scenario, the success of each agent that attempted it."""
         scores = attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
         frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
         if not self.ranking.empty and len(frames) > 1:
@@ -206,7 +213,10 @@ class Results:
                 resamples = self.ranking_resamples if name == ALL else self.resamples
                 bootstrap = Bootstrap.of(frames[name], "success", resamples)
                 found[name] = {
-                    agent: bootstrap.distribution(agent, "mean").round(12)
+                    agent: Success(
+                        bootstrap.estimate(agent, "mean"),
+                        bootstrap.distribution(agent, "mean").round(12),
+                    )
                     for agent in bootstrap.scores.values
                 }
         return found

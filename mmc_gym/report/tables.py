@@ -14,8 +14,7 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.catalogue import PEOPLE, people, span
-from mmc_gym.measures.episode import Floats
-from mmc_gym.report.results import Results, count
+from mmc_gym.report.results import Results, Success, count
 
 if TYPE_CHECKING:
     from mmc_gym.experiments.results import ExperimentResult
@@ -87,7 +86,7 @@ def scenario_table(results: Results, agent: str) -> Table:
         if name in results.environments:
             before, family = family, results.environments[name].family
             look = "begins" if family != before else ""
-        own = _share(*Estimate.of(found[agent]), look="mine")
+        own = _share(*found[agent].estimate, look="mine")
         rows.append(Row(name, (own, *(_compared(found, agent, one) for one in others)), look=look))
     against = (
         f" Below the success of each other agent: how much more or less {agent} has in the same "
@@ -104,18 +103,18 @@ def scenario_table(results: Results, agent: str) -> Table:
     )
 
 
-def _compared(found: Mapping[str, Floats], agent: str, other: str) -> Cell:
+def _compared(found: Mapping[str, Success], agent: str, other: str) -> Cell:
     """Return the cell of another agent: its success, and by how much that of `agent` differs.
 
-    `found` has the resampled success of each agent that attempted the scenario.
+    `found` has the success of each agent that attempted the scenario.
     """
     if other not in found:
         return Cell("·")
-    gain = Estimate.of(found[agent] - found[other])
+    gain = Estimate.of(found[agent].resampled - found[other].resampled)
     ends = f" [{_signed(gain.low)}, {_signed(gain.high)}]" if math.isfinite(gain.low) else ""
     look = "better" if gain.low > 0 else "worse" if gain.high < 0 else ""
     notes = (f"{_signed(gain.estimate)}{ends}",)
-    return Cell(_SUCCESS.number(found[other][0]), notes, look=look)
+    return Cell(_SUCCESS.number(found[other].estimate.estimate), notes, look=look)
 
 
 def _signed(share: float) -> str:

@@ -14,7 +14,7 @@ from mmc_gym.agents.base import Agent
 from mmc_gym.agents.body_model.agent import mmc_body
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.resolver import resolve_all
-from mmc_gym.benchmark.statistics import bootstrap_interval
+from mmc_gym.benchmark.statistics import sample_interval
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import Playable
 from mmc_gym.interface import CannotActError, ReachInterface
@@ -69,7 +69,7 @@ def percent(played: Played, *, interval: bool = False) -> str:
     """
     if not played:
         return "–"
-    found = bootstrap_interval(successes(played), "mean")
+    found = sample_interval(successes(played), "mean")
     text = f"{100 * found.estimate:.1f}"
     if interval and found.low < found.high:
         text += f" [{100 * found.low:.0f}, {100 * found.high:.0f}]"

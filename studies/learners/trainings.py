@@ -27,7 +27,7 @@ from mmc_gym.agents.policy import EVALUATION_EPISODES, FINAL_EPISODES, PolicyCar
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     Interval,
-    bootstrap_interval,
+    sample_interval,
     success_interval,
 )
 from mmc_gym.measures.catalogue import Statistic
@@ -140,7 +140,7 @@ def over_seeds(values: NDArray[np.float64], quantity: TrainingQuantity) -> Inter
         return success_interval(values, FINAL_EPISODES)
     reached = ~np.isinf(values)
     if quantity.varies and reached.all():
-        return bootstrap_interval(values, quantity.statistic)
+        return sample_interval(values, quantity.statistic)
     middle = float(np.median(values))  # finite if most of the values are
     estimate = middle if math.isfinite(middle) else math.nan
     count = int(reached.sum())

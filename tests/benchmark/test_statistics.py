@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import norm, trim_mean
+from scipy.stats import binomtest, norm, trim_mean
 
 from mmc_gym.benchmark.statistics import (
     Bootstrap,
     Scores,
     arrange,
-    bootstrap_interval,
+    percentile_interval,
     resampled_means,
+    sample_interval,
     success_interval,
     weighted_iqm,
 )
@@ -60,13 +61,13 @@ def test_a_whole_weight_counts_as_so_many_equal_values(count):
 def test_missing_values_are_left_out_and_counted():
     values = np.random.default_rng(0).normal(size=40)
     holes = np.insert(values, [0, 7, 7, 40], np.nan)
-    with_holes, without = bootstrap_interval(holes, "median"), bootstrap_interval(values, "median")
+    with_holes, without = sample_interval(holes, "median"), sample_interval(values, "median")
     assert (with_holes.count, with_holes.missing) == (40, 4)
     assert (with_holes.low, with_holes.high) == (without.low, without.high)
-    nothing, one = bootstrap_interval([np.nan] * 3, "mean"), bootstrap_interval([2.0], "median")
+    nothing, one = sample_interval([np.nan] * 3, "mean"), sample_interval([2.0], "median")
     assert math.isnan(nothing.estimate) and (nothing.count, nothing.missing) == (0, 3)
     assert one.estimate == 2.0 and math.isnan(one.low) and math.isnan(one.high)
-    equal = bootstrap_interval(np.full(50, 0.1), "mean")  # rounding leaves no width
+    equal = sample_interval(np.full(50, 0.1), "mean")  # rounding leaves no width
     assert (equal.low, equal.estimate, equal.high) == (0.1, 0.1, 0.1)
 
 
@@ -90,9 +91,24 @@ def test_a_value_that_no_draw_can_change_has_no_interval(tables, has_interval):
     found = [bootstrap.estimate("a", statistic) for statistic in ("mean", "iqm")]
     found += [bootstrap.difference("a", "b"), bootstrap.improvement("a", "b")]
     if len(tables) == 1:
-        found += [bootstrap.estimate("a", "median"), bootstrap_interval(tables[0], "median")]
+        found += [bootstrap.estimate("a", "median"), sample_interval(tables[0], "median")]
     assert {math.isfinite(one.low) for one in found} == {has_interval}
     assert resampled_means([[1.0, 2.0]]).tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 20), (20, 20), (7, 20), (1, 2)])
+def test_a_share_of_one_policy_has_wilsons_interval(successes, count):
+    values = np.arange(count) < successes
+    found = sample_interval([*values, math.nan], "mean")
+    ends = binomtest(successes, count).proportion_ci(method="wilson")
+    assert (found.estimate, found.missing) == (successes / count, 1)
+    assert (found.low, found.high) == pytest.approx(tuple(ends))
+    both = Bootstrap.of(pd.concat([rows("a", values, "E"), rows("a", values, "F")]))
+    alike = successes in (0, count)  # then the bootstrap has no width
+    assert (both.estimate("a", "mean").low == found.low) == alike
+    several = sample_interval([values, values], "mean")
+    ends = percentile_interval(both.distribution("a", "mean")[1:])
+    assert (several.low, several.high) == pytest.approx(ends, abs=0.1)
 
 
 def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():
@@ -103,7 +119,7 @@ def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():
     assert found.low <= 0.9968 < 0.998 < found.high  # 15,000 fresh episodes found 0.9968
     fractions = np.random.default_rng(0).uniform(0.2, 0.8, size=20)
     found = success_interval([*fractions, math.nan], episodes=100_000)
-    plain = bootstrap_interval(fractions, "mean")
+    plain = sample_interval(fractions, "mean")
     assert (found.low, found.high) == pytest.approx((plain.low, plain.high), abs=0.02)
     assert found.missing == 1
     one = success_interval([0.5], episodes=100)
