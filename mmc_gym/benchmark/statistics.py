@@ -48,6 +48,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
+from scipy.special import ndtr, stdtrit
 
 from mmc_gym.measures.catalogue import Measure, Statistic
 from mmc_gym.measures.episode import Floats
@@ -501,10 +502,24 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
     return pd.DataFrame(rows)
 
 
-def percentile_interval(resampled: Floats) -> tuple[float, float]:
+def expanded_tails(count: int) -> tuple[float, float]:
+    """Return between which quantiles of resamples of few units 95 % intervals are.
+
+    Percentile intervals of a few units are too narrow; these are as wide as Student's t asks for
+    (Hesterberg 2015, Am. Stat. 69, 371).  For many units they are the plain `TAILS`.
+    """
+    if count < 2:
+        return TAILS
+    high = ndtr(math.sqrt(count / (count - 1)) * stdtrit(count - 1, TAILS[1]))
+    return float(1 - high), float(high)
+
+
+def percentile_interval(
+    resampled: Floats, tails: tuple[float, float] = TAILS
+) -> tuple[float, float]:
     """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
     present = np.sort(resampled[~np.isnan(resampled)])
     if not present.size:
         return math.nan, math.nan
-    low, high = np.interp(TAILS, _linspace(0, 1, present.size), present).tolist()
+    low, high = np.interp(tails, _linspace(0, 1, present.size), present).tolist()
     return low, high

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +12,15 @@ from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import ErrorClamp, ForceField
 from mmc_gym.experiments.experiment import PlannedTrial, has
-from mmc_gym.experiments.learning import (
+from mmc_gym.experiments.fits import (
     TWO_STATES,
+    choose_states,
+    fit_exponential,
+    generalization_width,
+)
+from mmc_gym.experiments.learning import (
     correction_gain,
     correction_latency,
-    fit_exponential,
-    fit_two_states,
-    generalization_width,
     initial_direction,
     lateral_deviation,
 )
@@ -25,6 +28,7 @@ from mmc_gym.measures.catalogue import Quantity
 from mmc_gym.measures.episode import Floats
 
 AT_START, AT_END = 4, 10  # trials whose mean is the level at the start or end of a block
+BEFORE_FEEDBACK = 0.1  # s after movement onset: what a hand shows by then, it knew before
 LEAST = 0.01  # share of the perturbation, and deviation in segment lengths; less is nothing
 
 OF_ADAPTATION = "of adaptation"
@@ -71,6 +75,7 @@ class Learning:
     adaptation: Floats  #: y, less the mean of the baseline, (..., trials)
     errors: Floats  #: e, (..., trials)
     perturbations: Floats  #: p, 0 for none, (trials,)
+    clamps: Floats  #: the error that is shown in error clamps, NaN in other trials, (trials,)
     kinds: NDArray[np.str_]  #: see `PlannedTrial.kind`, (trials,)
     offsets: Floats  #: the target's direction less the trained one, degrees, (trials,)
     blocks: NDArray[np.int64]  #: number of the block, (trials,)
@@ -92,6 +97,7 @@ class Learning:
 def measure_learning(of: Learning) -> dict[str, Floats]:
     """Return the `QUANTITIES` by name, a number for each curve; NaN where there is nothing to see.
 
+    - A_f to B_s: of two states, or of one (A_s and B_s, with B_f = 0) if it fits better by BIC.
     - rate: of the exponential fit to the first exposure; savings: that of the second over it, see
       Zarahn et al. (2008), J. Neurophysiol. 100, 2537.
     - final_adaptation: mean of the last 10 trials of the first exposure.
@@ -106,7 +112,8 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
     exposed, clamped = _of_exposures(of), np.flatnonzero(of.kinds == "clamp")
     found: dict[str, Any] = {"deviation": of.deviation, **exposed}
     if exposed or len(clamped):
-        states = fit_two_states(of.adaptation, of.errors)
+        own = np.where(np.isin(of.kinds, ("transfer", "jump")), math.nan, of.adaptation)
+        states = choose_states(own, of.perturbations, of.clamps)
         found |= zip(TWO_STATES, np.moveaxis(states, -1, 0), strict=True)
     curves = tuple(range(of.errors.ndim - 1))
     is_shown = np.abs(of.errors[..., clamped]).max(axis=curves, initial=0) > 0.1
@@ -173,10 +180,12 @@ def _width(of: Learning, begin: int, least: float) -> Any:
 def learning_of(of: Movements) -> Learning:
     """Return what the subjects of an agent show of learning, (subjects, trials).
 
-    The mean of each subject's baseline at each target is subtracted.  Probes in other directions
-    are sorted by direction within their block, since each subject has another order.  In a
-    force field the unit is the mean deviation in its first trial, and what differs between targets
-    is taken out, because the field pushes less in some directions.
+    Under a cursor the adaptation is the direction of the hand `BEFORE_FEEDBACK`, because later a
+    movement corrects itself; in a force field it is the lateral deviation at peak speed.  The mean
+    of each subject's baseline at each target is subtracted.  Probes in other directions are sorted
+    by direction within their block, since each subject has another order.  In a force field the
+    unit is the mean deviation in its first trial, and what differs between targets is taken out,
+    because the field pushes less in some directions.
     """
     schedule, angles = of.schedule, of.angles
     blocks = np.array([one.block for one in schedule])
@@ -188,7 +197,8 @@ def learning_of(of: Movements) -> Learning:
     sign = np.sign(strengths[first].sum())
 
     towards = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles))], axis=-1)
-    measured = lateral_deviation if is_field else initial_direction
+    steps = round(BEFORE_FEEDBACK / of.control_step)
+    measured = lateral_deviation if is_field else partial(initial_direction, steps=steps)
     own, seen = (measured(one, of.hands[:, :, 0] + towards) for one in (of.hands, of.cursors))
     baseline = _baseline(own, angles, np.arange(len(schedule)) < first.sum())
     own, seen = own - baseline, seen - np.where(clamped, 0.0, baseline)
@@ -209,6 +219,7 @@ def learning_of(of: Movements) -> Learning:
         adaptation=adaptation,
         errors=errors,
         perturbations=perturbations,
+        clamps=np.where(clamped, strengths * sign, math.nan),
         kinds=kinds,
         offsets=(ordered[0] - angles[0, first].sum() + 180) % 360 - 180,
         blocks=blocks,

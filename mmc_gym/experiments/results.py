@@ -27,7 +27,7 @@ from mmc_gym._errors import require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, estimate_cell, print_table
-from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
+from mmc_gym.benchmark.statistics import expanded_tails, percentile_interval, resampled_means
 from mmc_gym.experiments.adaptation import (
     OF_ADAPTATION,
     QUANTITIES,
@@ -130,12 +130,13 @@ def learning_table(
     for agent in result.trials["agent"].unique():
         learning = learning_of(result.movements_of(agent))
         found = measure_learning(_resampled(learning, resamples))
+        tails = expanded_tails(len(learning.errors))
         for one in QUANTITIES:
             unit = learning.unit if one.unit == OF_ADAPTATION else one.unit
             factor, unit = (METRES, "m") if (unit, lengths_in) == ("lengths", "m") else (1, unit)
             values = factor * found[one.name]
             is_known = not math.isnan(values[0])
-            low, high = percentile_interval(values[1:]) if is_known else (math.nan, math.nan)
+            low, high = percentile_interval(values[1:], tails) if is_known else (math.nan, math.nan)
             facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
             interval = {"estimate": float(values[0]), "low": low, "high": high}
             count = {"count": len(learning.errors), "missing": 0, "source": ""}
@@ -272,7 +273,7 @@ def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resampl
         places = [one.mean() for one in cycles]
         axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
         if len(means) > 1:  # a single subject has no band
-            ends = np.quantile(means[1:], TAILS, axis=0)
+            ends = np.quantile(means[1:], expanded_tails(len(learning.errors)), axis=0)
             axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
     catches = np.flatnonzero(learning.kinds == "catch")
     axes.plot(catches, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)

@@ -1,17 +1,20 @@
 """Do the fits recover the parameters of simulated learners, and do their intervals cover them?
 
-Groups of simulated learners are `TwoStates` with motor noise.  Each group is analysed as the
-subjects of an experiment are: a fit to the mean curve, and an interval over subjects.
+Groups of simulated learners have one or two states and motor noise.  They are alike, or each
+parameter differs by 30 % between them (of A, what is forgotten, 1 − A).  Each group is analysed as
+the subjects of an experiment are: a fit to the mean curve, and an interval over subjects.
 
-    bias        mean estimate less the true value
+    bias        mean estimate less the true value, of the mean learner
     sd          standard deviation of the estimates
     coverage    share of the 95 % intervals that contain the true value
+    chosen      share of the groups in which the least BIC is that of the true number of states
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,11 +22,12 @@ import tyro
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from mmc_gym.benchmark.statistics import percentile_interval, resampled_means
-from mmc_gym.experiments.learning import (
+from mmc_gym.benchmark.statistics import expanded_tails, percentile_interval, resampled_means
+from mmc_gym.experiments.fits import (
     TWO_STATES,
+    fit_curve,
     fit_exponential,
-    fit_two_states,
+    fit_states,
     generalization_width,
 )
 from mmc_gym.measures.episode import Floats
@@ -31,7 +35,7 @@ from studies.tables import table_of
 
 
 class TwoStates(NamedTuple):
-    """Parameters of a learner, see `mmc_gym.experiments.learning.fit_two_states`."""
+    """Parameters of a learner, see `mmc_gym.experiments.fits`."""
 
     A_f: float
     A_s: float
@@ -39,13 +43,13 @@ class TwoStates(NamedTuple):
     B_s: float
 
 
+ONE_STATE = TwoStates(A_f=0.0, A_s=0.97, B_f=0.0, B_s=0.1)
 LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 NOISE = 3.0  # °, of each movement
 PERTURBATION = 30.0  # °
+RESAMPLES = 200  # of the subjects, for each interval
 RATE, ASYMPTOTE, WIDTH = 0.05, 25.0, 38.0
 OFFSETS = np.array([0.0, 22.5, 45.0, 90.0, 180.0, -90.0, -45.0, -22.5])
-
-Curves = tuple[Any, ...]
 
 
 def simulate_learners(
@@ -55,6 +59,7 @@ def simulate_learners(
     *,
     subjects: int = 1,
     noise: float = 0.0,
+    spread: float = 0.0,
     seed: int = 0,
 ) -> tuple[Floats, Floats]:
     """Simulate learners that are `TwoStates`: a reference for agents, and a test of the fits.
@@ -65,28 +70,32 @@ def simulate_learners(
         clamps: errors shown whatever the hand does, (trials,); NaN where it is not clamped.
         subjects: number of learners.
         noise: standard deviation of each movement, which the learner sees in its error.
-        seed: of the noise.
+        spread: standard deviation of B and 1 − A between learners, as a share of them.
+        seed: of the noise and of the learners.
 
     Returns:
         Adaptation y with noise, and the errors e (NaN where nothing is seen), (subjects, trials).
     """
-    schedule = np.asarray(perturbations, dtype=np.float64)
-    adaptation = np.random.default_rng(seed).normal(0.0, noise, (subjects, len(schedule)))
+    schedule, random = np.asarray(perturbations, dtype=np.float64), np.random.default_rng(seed)
+    adaptation = random.normal(0.0, noise, (subjects, len(schedule)))
     errors = np.empty_like(adaptation)
+    factors = np.clip(random.normal(1.0, spread, (4, subjects)), 0.05, 1.95)
+    a_f, a_s = (1 - (1 - a) * factor for a, factor in zip(learner[:2], factors[:2], strict=True))
+    b_f, b_s = (b * factor for b, factor in zip(learner[2:], factors[2:], strict=True))
     fast, slow = np.zeros((2, subjects))
     for trial, clamp in enumerate(np.broadcast_to(clamps, schedule.shape)):
         adaptation[:, trial] += fast + slow
         free = schedule[trial] - adaptation[:, trial]
         errors[:, trial] = free if math.isnan(clamp) else clamp
         seen = np.nan_to_num(errors[:, trial])
-        fast = learner.A_f * fast + learner.B_f * seen
-        slow = learner.A_s * slow + learner.B_s * seen
+        fast = a_f * fast + b_f * seen
+        slow = a_s * slow + b_s * seen
     return adaptation, errors
 
 
 def recovery(
-    fit: Callable[..., Any],
-    simulate: Callable[[int], Curves],
+    fit: Callable[[Floats], Any],
+    simulate: Callable[[int], Floats],
     true: Mapping[str, float],
     groups: int,
     resamples: int,
@@ -95,9 +104,11 @@ def recovery(
     estimates, covered = [], []
     wanted = np.array(list(true.values()))
     for group in range(groups):
-        found = fit(*(resampled_means(curves, resamples) for curves in simulate(group)))
+        curves = simulate(group)
+        found = fit(resampled_means(curves, resamples))
         values = np.reshape(found, (resamples + 1, len(true))).T
-        low, high = np.transpose([percentile_interval(one[1:]) for one in values])
+        tails = expanded_tails(len(curves))
+        low, high = np.transpose([percentile_interval(one[1:], tails) for one in values])
         estimates.append(values[:, 0])
         covered.append((low <= wanted) & (wanted <= high))
     columns = zip(true, wanted, np.transpose(estimates), np.mean(covered, axis=0), strict=True)
@@ -113,70 +124,86 @@ def recovery(
     }
 
 
-def two_state_groups(
-    counter: bool, subjects: int, unseen: float = 0.0
-) -> Callable[[int], tuple[Any, Any]]:
-    """Return a function that simulates a group, in one of two schedules.
-
-    Args:
-        counter: whether the perturbation is followed by its opposite and by trials clamped to an
-            error of 0, as in Smith et al. (2006), or by washout.
-        subjects: in a group.
-        unseen: noise of the measurement, which the learner does not see, degrees.
-    """
-    learning = np.r_[np.zeros(60), np.full(160, PERTURBATION)]
-    after = np.r_[np.full(20, -PERTURBATION), np.zeros(60)] if counter else np.zeros(80)
-    schedule, clamps = np.r_[learning, after], np.full(300, np.nan)
-    clamps[240:] = 0.0 if counter else np.nan
-
-    def simulate(group: int) -> tuple[Any, Any]:
-        adaptation, errors = simulate_learners(
-            LEARNER, schedule, clamps, subjects=subjects, noise=NOISE, seed=group
-        )
-        extra = np.random.default_rng((group, 1)).normal(0.0, unseen, adaptation.shape)
-        return adaptation + extra, np.where(np.isnan(clamps), errors - extra, errors)
-
-    return simulate
+LEARNING = np.r_[np.zeros(60), np.full(160, PERTURBATION)]
+NEVER = np.full(300, math.nan)
+SCHEDULES = {
+    "washout": (np.r_[LEARNING, np.zeros(80)], NEVER),
+    "counter, clamp": (
+        np.r_[LEARNING, np.full(20, -PERTURBATION), np.zeros(60)],
+        np.r_[NEVER[:240], np.zeros(60)],
+    ),
+}
+"""p and clamped errors: washed out, or as in Smith et al. (2006), by p and clamps."""
 
 
-def main(groups: int = 200, subjects: int = 20, resamples: int = 200) -> None:
+def state_rows(schedule: str, states: int, spread: float, groups: int, subjects: int) -> Any:
+    """Return the rows of the table for learners with one or two states in a schedule."""
+    perturbations, clamps = SCHEDULES[schedule]
+    learner = LEARNER if states == 2 else ONE_STATE
+    names = TWO_STATES if states == 2 else TWO_STATES[1::2]
+
+    def simulate(group: int) -> Floats:
+        settings: Any = {"subjects": subjects, "noise": NOISE, "spread": spread, "seed": group}
+        return simulate_learners(learner, perturbations, clamps, **settings)[0]
+
+    def fit(curves: Floats) -> Floats:
+        return fit_states(curves, perturbations, clamps, states=states)
+
+    true = {name: getattr(learner, name) for name in names}
+    found = recovery(fit, simulate, true, groups, RESAMPLES)
+    seen: Any = {"perturbation": perturbations, "clamp": clamps}
+    chosen = 0
+    for group in range(groups):
+        mean = simulate(group).mean(axis=0)
+        one, two = (fit_curve(mean, kind, **seen).bic for kind in ("one-state", "two-state"))
+        chosen += (two < one) == (states == 2)
+    case = f"{states} state{'s' * (states > 1)}, {schedule}, {'differ' if spread else 'alike'}"
+    return [(case, name, own, f"{chosen / groups:.0%}") for name, own in found.items()]
+
+
+def main(groups: int = 100, subjects: int = 12) -> None:
     """Simulate groups of learners and print how well the fits recover their parameters.
 
     Args:
         groups: number of groups.
         subjects: learners in a group.
-        resamples: of the subjects, for each interval.
     """
-    console = Console(width=120)
-    true_states = dict(zip(TWO_STATES, LEARNER))
+    rows = []
+    for schedule, states, spread in product(SCHEDULES, (1, 2), (0.0, 0.3)):
+        rows += state_rows(schedule, states, spread, groups, subjects)
     trials = np.arange(160)
     course = ASYMPTOTE * (1 - np.exp(-RATE * trials))
     around = 20.0 * np.exp(-(OFFSETS**2) / (2 * WIDTH**2))
+    plain: list[tuple[str, Any, Floats, dict[str, float]]] = [
+        (
+            "exponential",
+            lambda curves: fit_exponential(curves)[:, :2],
+            course,
+            {"asymptote": ASYMPTOTE, "rate": RATE},
+        ),
+        (
+            "width of a Gaussian",
+            lambda curves: generalization_width(curves, OFFSETS),
+            around,
+            {"σ [°]": WIDTH},
+        ),
+    ]
+    for case, fit, curve, true in plain:
 
-    def noisy(curve: Any) -> Callable[[int], tuple[Any]]:
-        shape = (subjects, len(curve))
-        return lambda group: (curve + np.random.default_rng(group).normal(0.0, NOISE, shape),)
+        def noisy(group: int, curve: Floats = curve) -> Floats:
+            shape = (subjects, len(curve))
+            return np.asarray(curve + np.random.default_rng(group).normal(0.0, NOISE, shape))
 
-    def width(curves: Any) -> Any:
-        return generalization_width(curves, OFFSETS)
-
-    schedules = {
-        "rotation and washout": two_state_groups(False, subjects),
-        "rotation, its opposite, clamp": two_state_groups(True, subjects),
-        "the same, 3° of noise unseen by the learner": two_state_groups(True, subjects, unseen=3.0),
-    }
-    cases: dict[str, tuple[Any, Any, Mapping[str, float]]] = {
-        **{case: (fit_two_states, learn, true_states) for case, learn in schedules.items()},
-        "exponential": (fit_exponential, noisy(course), {"asymptote": ASYMPTOTE, "rate": RATE}),
-        "width of a Gaussian": (width, noisy(around), {"σ [°]": WIDTH}),
-    }
-    rows = []
-    for case, (fit, simulate, true) in cases.items():
-        for name, found in recovery(fit, simulate, true, groups, resamples).items():
-            values = {key: f"{value:.4f}" for key, value in found.items() if key != "coverage"}
-            rows.append({"case": case, "parameter": name, **values})
-            rows[-1]["coverage"] = f"{found['coverage']:.1%}"
-    console.print(table_of(rows, f"{groups} groups of {subjects} simulated learners"))
+        found = recovery(fit, noisy, true, groups, RESAMPLES)
+        rows += [(case, name, own, "–") for name, own in found.items()]
+    printed = [
+        {"case": case, "parameter": name}
+        | {key: f"{value:.4f}" for key, value in own.items() if key != "coverage"}
+        | {"coverage": f"{own['coverage']:.0%}", "chosen": chosen}
+        for case, name, own, chosen in rows
+    ]
+    title = f"{groups} groups of {subjects} simulated learners"
+    Console(width=120).print(table_of(printed, title))
 
 
 if __name__ == "__main__":

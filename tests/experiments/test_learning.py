@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from mmc_gym.experiments.adaptation import QUANTITIES, Learning, measure_learning
+from mmc_gym.experiments.fits import TWO_STATES
 from mmc_gym.experiments.learning import (
-    TWO_STATES,
     correction_gain,
     correction_latency,
-    fit_exponential,
-    fit_two_states,
-    generalization_width,
     initial_direction,
     lateral_deviation,
 )
@@ -39,6 +36,15 @@ def test_direction_and_deviation_are_positive_to_the_left(turn, start):
     assert lateral_deviation(path, target) == pytest.approx(at_peak * np.sin(np.radians(turn)))
 
 
+@pytest.mark.parametrize("late", [3, 6, 12])
+def test_a_direction_before_feedback_is_not_changed_by_what_follows(late):
+    straight = BELL * [1.0, 0.0]
+    onset = int(np.argmax(np.diff(BELL[:, 0]) >= 0.05 * np.diff(BELL[:, 0]).max()))
+    bent = straight + np.clip(np.arange(52) - onset - late, 0, None)[:, None] * [0.0, 0.01]
+    early, later = (initial_direction(bent, [1.0, 0.0], steps=late + k) for k in (0, 1))
+    assert early == pytest.approx(0.0) and later > 1.0
+
+
 def test_a_later_correction_does_not_change_the_initial_direction():
     path = BELL * [1.0, 0.0]
     bent = path + np.where(np.arange(52) > 30, np.arange(52) - 30, 0)[:, None] * [0.0, 0.01]
@@ -57,60 +63,8 @@ def test_a_late_and_partial_correction_of_a_jump(latency, gain):
     assert np.isnan(correction_latency(0 * response, 0.1, 0.2, STEP))
 
 
-def test_an_exponential_is_found_again_and_noise_has_none():
-    rates = np.array([0.01, 0.1, 0.7])
-    curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
-    curves[:, 7] = np.nan
-    asymptotes, found = fit_exponential(curves).T
-    assert asymptotes == pytest.approx([20.0] * 3, rel=1e-4)
-    assert found == pytest.approx(rates, rel=1e-4)
-    noise = np.random.default_rng(0).normal(size=(20, 100))
-    assert np.isnan(fit_exponential(noise)).all()
-    assert np.isnan(fit_exponential(np.zeros(100))).all()
-
-
-SCHEDULES = {
-    "washout": (np.r_[NONE, TURN, NONE], np.nan),
-    "unseen": (np.r_[NONE, TURN, NONE * np.nan], np.nan),
-    "counter": (np.r_[NONE, TURN, -TURN[:20], NONE], np.r_[np.full(200, np.nan), NONE]),
-}
-
-
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("learner", [LEARNER, TwoStates(0.9, 0.999, 0.05, 0.01)])
-def test_two_states_are_found_again(schedule, learner):
-    adaptation, errors = simulate_learners(learner, *SCHEDULES[schedule])
-    found = np.ravel(fit_two_states(adaptation, errors))
-    assert found == pytest.approx(np.array(learner), abs=2e-3)
-    still = learner._replace(B_f=0.0, B_s=0.0)  # who does not learn has no states
-    assert np.isnan(fit_two_states(*simulate_learners(still, *SCHEDULES[schedule]))).all()
-
-
-def test_fits_to_noisy_learners_scatter_around_the_truth():
-    groups = [
-        simulate_learners(LEARNER, *SCHEDULES["counter"], subjects=20, noise=3.0, seed=seed)
-        for seed in range(20)
-    ]
-    adaptation, errors = (np.mean(curves, axis=1) for curves in zip(*groups, strict=True))
-    found = fit_two_states(adaptation, errors)
-    scatter = found.std(axis=0, ddof=1) / np.sqrt(20)
-    assert (np.abs(found.mean(axis=0) - np.array(LEARNER)) < 4 * scatter).all()
-    assert found.mean(axis=0) == pytest.approx(np.array(LEARNER), rel=0.05)
-
-
-@pytest.mark.parametrize("width", [15.0, 38.0, 90.0])
-def test_the_width_of_a_gaussian(width):
-    offsets = np.array([-135.0, -90, -45, -22.5, 0, 22.5, 45, 90, 135, 180])
-    adaptation = 20 * np.exp(-((offsets - 5) ** 2) / (2 * width**2))
-    assert generalization_width(adaptation, offsets) == pytest.approx(width, rel=1e-3)
-    assert np.isnan(generalization_width(adaptation[:3], offsets[:3]))
-    unseen = np.where(offsets == 45, np.nan, adaptation)
-    assert generalization_width(unseen, offsets) == pytest.approx(width, rel=1e-3)
-    assert generalization_width(np.full(len(offsets), 20.0), offsets) == pytest.approx(180)
-
-
 ALONG = np.clip(np.arange(60) * STEP - 0.3, 0, None)
-ROUND, UNKNOWN = np.arange(0, 360, 45.0), np.full(60, np.nan)
+UNKNOWN = np.full(60, np.nan)
 
 
 @pytest.mark.parametrize(
@@ -125,14 +79,6 @@ ROUND, UNKNOWN = np.arange(0, 360, 45.0), np.full(60, np.nan)
         (correction_latency, ([0.0, 1.0], 0.1, 0.0, STEP)),
         (correction_gain, (ALONG, 0.0)),
         (correction_gain, ([], 0.1)),
-        (fit_exponential, (UNKNOWN,)),
-        (fit_two_states, (np.ones(60), UNKNOWN)),  # no error is seen
-        (fit_two_states, (-ALONG, np.ones(60))),  # away from what would help
-        (fit_two_states, (UNKNOWN, np.ones(60))),
-        (fit_exponential, (np.r_[1.0, 2, 3, UNKNOWN, np.inf],)),
-        (generalization_width, (UNKNOWN[:8], ROUND)),
-        (generalization_width, (np.full(8, np.inf), ROUND)),
-        (generalization_width, (np.r_[1.0, 2, 1, UNKNOWN[:5]], ROUND)),
         (initial_direction, (BELL * [1, 0], [0, 0])),  # a target at the start
         (lateral_deviation, (BELL * [1, 0], [0, 0])),
         (initial_direction, ([[0, 0]], [1, 0])),
@@ -151,6 +97,7 @@ def learning_in(schedule, learner, kinds="plain", rest=0):
         adaptation=adaptation,
         errors=errors,
         perturbations=perturbations,
+        clamps=np.broadcast_to(clamps, perturbations.shape),
         kinds=np.broadcast_to(kinds, perturbations.shape),
         offsets=np.zeros(len(perturbations)),
         blocks=np.cumsum(changes),

@@ -40,7 +40,7 @@ SHORT = {
         "--episodes 3 --bodies given --agents mmc-body pybullet",
         r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
     ),
-    "adaptation.recovery": ("--groups 2 --resamples 20", r"A_s .* 0\.99"),
+    "adaptation.recovery": ("--groups 2 --subjects 4", r"A_s .* 0\.99"),
     "adaptation.reward": (
         "--sac-steps 150 --ppo-steps 2048 --trials 2 --every 1 --out out/curves.json",
         r"trials .* SAC .* PPO",

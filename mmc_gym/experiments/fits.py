@@ -1,0 +1,372 @@
+"""Models of learning, fitted to curves by least squares: your own data fit in as well.
+
+One or two states learn from the same error and forget (Smith, Ghazizadeh & Shadmehr 2006, PLoS
+Biol. 4, e179).  In trial n, with A_f < A_s and x_0 = 0,
+
+    y_n = Σ x_n,    x_{n+1} = A x_n + B e_n,    e_n = p_n − y_n
+
+The adaptation y is how much of the perturbation p the hand compensates, in its unit.  In an error
+clamp e is what the clamp shows; it is 0 where nothing is seen.  The model's own error drives it, as
+is usual.  If the errors that were seen are given, they drive it instead, noise included.
+
+An exponential is y_n = asymptote + (start − asymptote) e^{−rate n}, and a Gaussian about the
+trained direction y = offset + height e^{−(x − centre)²/2 width²}, x in degrees.
+
+`fit` takes a table with a row for each trial, `fit_curve` arrays.  Of several models, that with the
+least BIC, n ln(S/n) + k ln n, is best: n trials, sum of square errors S, k parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import leastsq
+from scipy.special import expit, logit
+
+from mmc_gym._errors import UserError, require_choice, shown
+from mmc_gym.measures.episode import Floats
+
+Model: TypeAlias = Literal["nothing", "one-state", "two-state", "exponential", "gaussian"]
+TWO_STATES = ("A_f", "A_s", "B_f", "B_s")
+PARAMETERS: dict[Model, tuple[str, ...]] = {
+    "nothing": (),  # y = 0
+    "one-state": ("A", "B"),
+    "two-state": TWO_STATES,
+    "exponential": ("asymptote", "start", "rate"),
+    "gaussian": ("offset", "height", "centre", "width"),
+}
+"""The parameters of each model.  A is retention and B rate of learning, both from 0 to 1 per trial;
+the exponential's rate is per trial, the Gaussian's centre and width are in degrees."""
+
+LEAST_EXPLAINED = 0.2  # of the variance of a curve, for it to have a rate
+# Where fits begin: rates per trial, and in degrees widths and centres; A and B of states.
+_RATES = np.geomspace(1e-3, 3.0, 60)
+_WIDTHS, _CENTRES = np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0, 45.0, 19))
+_STARTS = {
+    1: (*product((0.5, 0.8, 0.95, 0.99, 0.999), (0.01, 0.03, 0.1, 0.3, 0.7)),),
+    2: (*product((0.3, 0.6, 0.85), (0.95, 0.99, 0.999), (0.05, 0.2, 0.4), (0.01, 0.03, 0.1)),),
+}
+_EXACT = 1e-8  # share of the sum of squares of y that is no error
+_ITERATIONS = 60
+_NUDGE = 1e-6  # of logits, for derivatives
+_FARTHEST = 14.0  # logit: shares from 1e-6 to 1 − 1e-6
+
+
+class Fit(NamedTuple):
+    """A model fitted to a curve."""
+
+    model: Model
+    parameters: dict[str, float]  #: by name, see `PARAMETERS`
+    predicted: Floats  #: y of the model, (trials,)
+    mean_square: float  #: error, square of the unit of y; NaN if there was too little to fit
+    r_squared: float  #: share of the variance of y that the model explains
+    bic: float  #: Bayesian information criterion; the least is best
+    trials: int  #: that were known
+
+
+def fit(
+    table: pd.DataFrame,
+    model: Model | Sequence[Model] = ("one-state", "two-state"),
+    *,
+    by: str | Sequence[str] | None = None,
+    y: str = "adaptation",
+    perturbation: str = "perturbation",
+    clamp: str | None = None,
+    error: str | None = None,
+    x: str = "trial",
+) -> pd.DataFrame:
+    """Fit models to the curves in a table, and tell which is best.
+
+    Args:
+        table: a row for each trial, in the order of the trials.
+        model: one or more of `PARAMETERS`.
+        by: column or columns, each value of which has a fit of its own, such as "subject".  None:
+            the mean of y over the rows with one x is fitted.
+        y: column of the adaptation; empty cells are left out.
+        perturbation: column of p, for states; empty where nothing is seen.
+        clamp: column of the error that is shown in error clamps, empty in other trials.
+        error: column of the errors that were seen, if they shall drive the states.
+        x: column of the trial, or for a Gaussian of the direction less the trained one, degrees.
+
+    Returns:
+        A row for each curve and model, with the columns `by`, model, the parameters, mean_square,
+        r_squared, bic, trials and best.
+
+    Raises:
+        UserError: if there is no such model or column.
+    """
+    models = [model] if isinstance(model, str) else list(model)
+    for one in models:
+        require_choice("model", one, PARAMETERS)
+    is_moved = any("state" in one for one in models)
+    states = {"perturbation": perturbation, "clamp": clamp, "error": error} if is_moved else {}
+    columns = {"y": y, "x": x, **{name: one for name, one in states.items() if one}}
+    names = [by] if isinstance(by, str) else list(by or ())
+    for column in [*columns.values(), *names]:
+        if column not in table:
+            raise UserError(f"the table must have a column {shown(column)}, got {[*table.columns]}")
+    if not names:
+        wanted = list(dict.fromkeys(columns.values()))
+        table = table[wanted].groupby(x, as_index=False, dropna=False).mean(numeric_only=True)
+    rows = []
+    for group, own in table.groupby(names, sort=False) if names else [((), table)]:
+        arrays = {name: own[column].to_numpy(np.float64) for name, column in columns.items()}
+        fits = [fit_curve(model=one, **arrays) for one in models]
+        least = min((one.bic for one in fits if one.bic < math.inf), default=math.nan)
+        for found in fits:
+            facts = found._asdict() | found.parameters | {"best": found.bic == least}
+            rows.append(dict(zip(names, group, strict=True)) | facts)
+    parameters = dict.fromkeys(name for one in models for name in PARAMETERS[one])
+    ends = ["mean_square", "r_squared", "bic", "trials", "best"]
+    return pd.DataFrame(rows)[[*names, "model", *parameters, *ends]]
+
+
+def fit_curve(
+    y: ArrayLike,
+    model: Model = "two-state",
+    *,
+    perturbation: ArrayLike = math.nan,
+    clamp: ArrayLike = math.nan,
+    error: ArrayLike | None = None,
+    x: ArrayLike | None = None,
+) -> Fit:
+    """Fit a model to one curve; the parameters are NaN if there is too little to fit.
+
+    Args:
+        y: adaptation, (trials,); NaNs are left out.
+        model: one of `PARAMETERS`.
+        perturbation: p, (trials,) or a number; NaN where nothing is seen.
+        clamp: the error that is shown in error clamps, NaN in other trials, likewise.
+        error: the errors that were seen, if they shall drive the states, likewise.
+        x: of an exponential or a Gaussian, (trials,); None: 0, 1, ….
+
+    >>> aligned, turned = [0.0] * 20, [30.0] * 80
+    >>> curve = 24 * (1 - 0.9 ** np.arange(80))
+    >>> fitted = fit_curve([*aligned, *curve], "one-state", perturbation=aligned + turned)
+    >>> {name: round(value, 3) for name, value in fitted.parameters.items()}
+    {'A': 0.98, 'B': 0.08}
+    """
+    require_choice("model", model, PARAMETERS)
+    curve = np.asarray(y, dtype=np.float64)
+    places = np.arange(len(curve)) if x is None else np.asarray(x, dtype=np.float64)
+    known = np.isfinite(curve)
+    if model in ("one-state", "two-state"):
+        shown_error = np.nan_to_num(error) if error is not None else clamp
+        p, e = (np.broadcast_to(one, curve.shape) for one in (perturbation, shown_error))
+        found = fit_states(curve[None], p, e, states=2 if model == "two-state" else 1)
+        predicted = _simulate(_logit(found), p, e)[0]
+        values = found[0]
+    elif model == "exponential":
+        values = fit_exponential(curve)[[0, 2, 1]]
+        predicted = values[0] + (values[1] - values[0]) * np.exp(-values[2] * places)
+    elif model == "gaussian":
+        values = fit_gaussian(curve, places)
+        offset, height, centre, width = values
+        predicted = offset + height * np.exp(-(((places - centre) / width) ** 2) / 2)
+    else:
+        values, predicted = np.empty(0), np.zeros_like(curve)
+    count, square = int(known.sum()), float(((predicted - curve)[known] ** 2).sum())
+    is_fitted = count > len(values) and not math.isnan(square)
+    if not count:
+        unknown = dict.fromkeys(PARAMETERS[model], math.nan)
+        return Fit(model, unknown, predicted, math.nan, math.nan, math.nan, trials=0)
+    spread = float(np.var(curve[known])) * count
+    least = (
+        _EXACT * float((curve[known] ** 2).sum()) + 1e-300
+    )  # of exact curves, few parameters win
+    bic = count * math.log((square + least) / count) + len(values) * math.log(count)
+    return Fit(
+        model,
+        dict(zip(PARAMETERS[model], values.tolist(), strict=True)),
+        predicted,
+        square / count if is_fitted else math.nan,
+        1 - square / spread if is_fitted and spread > 0 else math.nan,
+        bic if is_fitted else math.nan,
+        count,
+    )
+
+
+def choose_states(
+    curves: Floats, perturbations: ArrayLike, clamps: ArrayLike
+) -> NDArray[np.float64]:
+    """Return `TWO_STATES` of each curve, (..., 4), with as many states as the first one has.
+
+    The first of the curves y (..., trials), such as a mean before its resamples, decides by BIC.
+    One state is given as A_s and B_s, with B_f = 0 and A_f NaN.  All are NaN if nothing was
+    learned.  For p and clamps see `fit_curve`.
+    """
+    flat = curves.reshape(-1, curves.shape[-1])
+    kinds: tuple[Model, ...] = ("nothing", "one-state", "two-state")
+    both = {"perturbation": perturbations, "clamp": clamps}
+    fits = [fit_curve(flat[0], kind, **both) for kind in kinds]
+    known = [one for one in fits if not math.isnan(one.bic)]
+    best = min(known, key=lambda one: one.bic).model if known else "nothing"
+    found = np.full((len(flat), 4), math.nan)
+    p, e = (np.broadcast_to(one, flat.shape[1:]) for one in both.values())
+    if best == "one-state":
+        found[:, [1, 3]], found[:, 2] = fit_states(flat, p, e, states=1), 0.0
+    elif best == "two-state":
+        found = fit_states(flat, p, e, states=2)
+    return found.reshape(*curves.shape[:-1], 4)
+
+
+def fit_states(
+    curves: Floats, perturbations: Floats, clamps: Floats, *, states: Literal[1, 2]
+) -> NDArray[np.float64]:
+    """Return A and B of the states of each curve y (k, trials), (k, 2) or `TWO_STATES` (k, 4).
+
+    NaN where fewer than eight trials are known, or nothing moves.  For p and clamps, (trials,), see
+    `fit_curve`.  All curves are fitted at once, by Levenberg and Marquardt from the best of some
+    values: one at a time, `scipy.optimize` would take a hundred times as long.
+    """
+    weights = np.isfinite(curves)
+    is_fitted = (weights.sum(axis=1) >= 8) & (np.abs(np.where(weights, curves, 0)).max(axis=1) > 0)
+    found = np.full((len(curves), 2 * states), math.nan)
+    if is_fitted.any():
+        known, weights = np.where(weights, curves, 0.0)[is_fitted], weights[is_fitted]
+        grid = logit(np.array(_STARTS[states]))
+        shapes = _simulate(grid, perturbations, clamps)
+        costs = (shapes**2) @ weights.T - 2 * shapes @ known.T  # less what no start changes
+        start = grid[costs.argmin(axis=0)]
+        found[is_fitted] = expit(_polish_all(start, known, weights, perturbations, clamps))
+    if states == 2:  # the fast one first
+        swapped = found[:, 0] > found[:, 1]
+        found[swapped] = found[swapped][:, [1, 0, 3, 2]]
+    return found
+
+
+def _logit(shares: Floats) -> Floats:
+    return np.clip(logit(shares), -_FARTHEST, _FARTHEST)
+
+
+def _simulate(at: Floats, perturbations: Floats, clamps: Floats) -> Floats:
+    """Return y (k, trials) of k learners whose A and B have these logits, (k, 2 · states)."""
+    retentions, rates = expit(at.T).reshape(2, -1, len(at))
+    state, y = np.zeros_like(rates), np.empty((len(perturbations), len(at)))
+    for trial, (p, clamp) in enumerate(zip(perturbations.tolist(), clamps.tolist(), strict=True)):
+        y[trial] = state.sum(axis=0)
+        state = retentions * state
+        if not math.isnan(clamp):
+            state += rates * clamp
+        elif not math.isnan(p):
+            state += rates * (p - y[trial])
+    return y.T
+
+
+def _polish_all(at: Floats, curves: Floats, weights: Floats, *schedule: Floats) -> Floats:
+    """Return the logits that fit each curve best near these, by Levenberg and Marquardt."""
+    at, damping, count = at.copy(), np.full(len(at), 1e-2), at.shape[1]
+    nudges = np.concatenate([np.zeros((1, count)), _NUDGE * np.eye(count)])
+    open_ones = np.arange(len(at))
+    for _ in range(_ITERATIONS):
+        now, own, seen = at[open_ones], curves[open_ones], weights[open_ones]
+        values = _simulate((now[:, None] + nudges).reshape(-1, count), *schedule)
+        values = values.reshape(len(now), count + 1, -1) * seen[:, None]
+        residuals = values[:, 0] - own
+        slopes = (values[:, 1:] - values[:, :1]) / _NUDGE
+        normal = np.einsum("kit,kjt->kij", slopes, slopes)
+        diagonal = np.einsum("kii->ki", normal) * damping[open_ones, None] + 1e-9
+        downhill = np.einsum("kit,kt->ki", slopes, residuals)[..., None]
+        step = np.linalg.solve(normal + diagonal[..., None] * np.eye(count), downhill)[..., 0]
+        new = np.clip(now - np.clip(step, -2, 2), -_FARTHEST, _FARTHEST)
+        before = (residuals**2).sum(axis=1)
+        after = ((_simulate(new, *schedule) * seen - own) ** 2).sum(axis=1)
+        is_better = after < before
+        at[open_ones[is_better]] = new[is_better]
+        damping[open_ones] *= np.where(is_better, 0.2, 5.0)
+        is_done = np.abs(before - after) <= 1e-8 * before
+        open_ones = open_ones[~(is_done | (damping[open_ones] > 1e6))]
+        if not len(open_ones):
+            break
+    return at
+
+
+@np.vectorize(signature="(n)->(p)")
+def fit_exponential(curves: Floats) -> Floats:
+    """Fit an exponential to each curve; return asymptote, rate and start, (..., 3).
+
+    The curves y are (..., trials); only finite values count.  NaN for fewer than four trials, and
+    if the fit explains less than a fifth of the variance: what has no course has no rate.
+    """
+    trials = np.flatnonzero(np.isfinite(curves))
+    known = curves[trials]
+    if len(trials) < 4 or np.ptp(known) == 0.0:
+        return np.full(3, math.nan)
+    shapes = np.exp(-_RATES[:, None] * trials)
+    means = shapes.mean(axis=-1, keepdims=True)
+    best, height = _nearest_shape(shapes - means, known - known.mean())
+    if np.var(height * shapes[best]) < LEAST_EXPLAINED * np.var(known):
+        return np.full(3, math.nan)
+
+    def rate_of(log_rate: float) -> float:
+        return math.exp(min(log_rate, math.log(_RATES[-1])))  # faster is learned in one trial
+
+    asymptote, fall, log_rate = _polish(
+        lambda at: at[0] + at[1] * np.exp(-rate_of(at[2]) * trials) - known,
+        (known.mean() - height * means[best, 0], height, math.log(_RATES[best])),
+    )
+    return np.array([asymptote, rate_of(log_rate), asymptote + fall])
+
+
+@np.vectorize(signature="(n),(n)->(p)")
+def fit_gaussian(curves: Floats, places: Floats) -> Floats:
+    """Fit a Gaussian with an offset to each curve, (..., 4), see `PARAMETERS`.
+
+    The curves y (..., probes) are at `places` x, degrees.  Only finite values count; NaN for fewer
+    than five different x, and where y is the same at all.
+    """
+    present = np.isfinite(curves) & np.isfinite(places)
+    known, x = curves[present], places[present]
+    if len(np.unique(x)) < 5 or np.ptp(known) == 0.0:
+        return np.full(4, math.nan)
+    widths, centres = _WIDTHS.reshape(-1, 1), _CENTRES.reshape(-1, 1)
+    shapes = np.exp(-(((x - centres) / widths) ** 2) / 2)
+    means = shapes.mean(axis=-1, keepdims=True)
+    best, height = _nearest_shape(shapes - means, known - known.mean())
+    start = known.mean() - height * means[best, 0], height, *centres[best], *widths[best]
+    offset, height, centre, width = _polish(
+        lambda at: at[0] + at[1] * np.exp(-(((x - at[2]) / at[3]) ** 2) / 2) - known, start
+    )
+    return np.array([offset, height, centre, abs(width)])
+
+
+@np.vectorize(signature="(n),(n)->()")
+def generalization_width(adaptation: Floats, offsets: Floats) -> float:
+    """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
+
+    At most 180°, which stands for flat: on a circle nothing is wider.  Only finite y count.
+
+    y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
+    target's direction less the trained one, degrees, (probes,).
+
+    Source: Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
+    """
+    present = np.isfinite(adaptation) & np.isfinite(offsets)
+    adaptation, offsets = adaptation[present], offsets[present]
+    if len(np.unique(offsets)) < 4 or not np.any(adaptation):
+        return math.nan
+    widths, centres = _WIDTHS.reshape(-1, 1), _CENTRES.reshape(-1, 1)
+    best, height = _nearest_shape(np.exp(-(((offsets - centres) / widths) ** 2) / 2), adaptation)
+    found = _polish(
+        lambda at: at[0] * np.exp(-(((offsets - at[1]) / at[2]) ** 2) / 2) - adaptation,
+        (height, *centres[best], *widths[best]),
+    )
+    return min(abs(float(found[2])), float(_WIDTHS.max()))
+
+
+def _nearest_shape(shapes: Floats, values: Floats) -> tuple[int, float]:
+    """Return which of the shapes (k, n) is nearest to `values` (n,) if scaled, and the scale."""
+    along, square = shapes @ values, (shapes**2).sum(axis=-1)
+    best = int(np.argmax(along**2 / square))
+    return best, float(along[best] / square[best])
+
+
+def _polish(residuals: Callable[[Floats], Floats], start: Sequence[float]) -> Floats:
+    """Return what Levenberg and Marquardt make of a start; `leastsq` costs least per call."""
+    return np.asarray(leastsq(residuals, start, ftol=1e-6, xtol=1e-6, full_output=True)[0])

@@ -1,0 +1,169 @@
+"""Fits of models of learning: they find what simulated learners are, and tell them apart."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmc_gym import UserError
+from mmc_gym.benchmark.statistics import TAILS, expanded_tails
+from mmc_gym.experiments.fits import (
+    PARAMETERS,
+    choose_states,
+    fit,
+    fit_curve,
+    fit_exponential,
+    fit_gaussian,
+    generalization_width,
+)
+from studies.adaptation.recovery import TwoStates, simulate_learners
+
+LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
+ONE_STATE = TwoStates(A_f=0.0, A_s=0.97, B_f=0.0, B_s=0.1)
+TURN, NONE, UNKNOWN = np.full(120, 30.0), np.zeros(60), np.full(60, np.nan)
+ROUND = np.arange(0, 360, 45.0)
+NEVER = np.full(240, np.nan)
+SCHEDULES = {
+    "washout": (np.r_[NONE, TURN, NONE], NEVER),
+    "unseen": (np.r_[NONE, TURN, UNKNOWN], NEVER),
+    "clamped": (np.r_[NONE, TURN, NONE], np.r_[NEVER[60:], NONE]),
+    "counter": (np.r_[NONE, TURN, -TURN[:20], NONE], np.r_[np.full(200, np.nan), NONE]),
+}
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("driven_by", ["model", "seen"])
+@pytest.mark.parametrize("learner", [LEARNER, TwoStates(0.9, 0.999, 0.05, 0.01)])
+def test_two_states_are_found_again(schedule, learner, driven_by):
+    perturbation, clamp = SCHEDULES[schedule]
+    adaptation, errors = (one[0] for one in simulate_learners(learner, perturbation, clamp))
+    error = errors if driven_by == "seen" else None
+    found = fit_curve(adaptation, perturbation=perturbation, clamp=clamp, error=error)
+    assert [*found.parameters.values()] == pytest.approx(list(learner), abs=2e-3)
+    assert found.r_squared == pytest.approx(1.0) and found.trials == len(adaptation)
+    assert found.predicted == pytest.approx(adaptation, abs=0.02)
+
+
+def test_the_errors_that_were_seen_hold_the_noise_of_each_movement():
+    perturbation, clamp = SCHEDULES["counter"]
+    y, errors = (one[0] for one in simulate_learners(LEARNER, perturbation, clamp, noise=6.0))
+    own, seen = (
+        fit_curve(y, perturbation=perturbation, clamp=clamp, error=one) for one in (None, errors)
+    )
+    assert seen.mean_square < own.mean_square
+
+
+@pytest.mark.parametrize(
+    ("learner", "best"),
+    [
+        (LEARNER, "two-state"),
+        (ONE_STATE, "one-state"),
+        (LEARNER._replace(B_f=0.0, B_s=0.0), "nothing"),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_the_criterion_tells_which_learner_it_is(learner, best, noise):
+    perturbation, clamp = SCHEDULES["counter"]
+    data = {"perturbation": perturbation, "clamp": clamp}
+    for seed in range(3):
+        y, _ = simulate_learners(learner, perturbation, clamp, subjects=12, noise=noise, seed=seed)
+        fits = {kind: fit_curve(y.mean(axis=0), kind, **data) for kind in [*PARAMETERS][:3]}
+        assert min(fits, key=lambda kind: fits[kind].bic) == best
+        chosen = choose_states(y.mean(axis=0), perturbation, clamp)
+        if best == "one-state":
+            assert np.isnan(chosen[0]) and chosen[2] == 0.0
+            assert chosen[[1, 3]] == pytest.approx([0.97, 0.1], abs=0.03)
+        else:
+            assert np.isnan(chosen).all() == (best == "nothing")
+
+
+def test_resamples_are_fitted_as_curves_are_alone():
+    perturbation, clamp = SCHEDULES["counter"]
+    curves, _ = simulate_learners(LEARNER, perturbation, clamp, subjects=6, noise=2.0)
+    together = choose_states(curves, perturbation, clamp)
+    alone = [choose_states(curve, perturbation, clamp) for curve in curves]
+    assert together.shape == (6, 4)
+    assert together == pytest.approx(np.array(alone), abs=1e-4, nan_ok=True)
+
+
+def test_a_table_has_a_fit_for_each_subject_and_model_or_of_the_mean():
+    perturbation, clamp = SCHEDULES["counter"]
+    y, errors = simulate_learners(LEARNER, perturbation, clamp, subjects=3, noise=1.0)
+    subjects, trials = y.shape
+    table = pd.DataFrame(
+        {
+            "who": np.repeat([*"abc"], trials),
+            "trial": np.tile(np.arange(trials), subjects),
+            "hand": y.ravel(),
+            "turn": np.tile(perturbation, subjects),
+            "clamp": np.tile(clamp, subjects),
+            "error": errors.ravel(),
+        }
+    )
+    columns = {"y": "hand", "perturbation": "turn", "clamp": "clamp"}
+    found = fit(table, by="who", **columns)
+    assert [*found["who"]] == [*"aabbcc"] and [*found["model"]] == ["one-state", "two-state"] * 3
+    assert found.loc[found["best"], "model"].eq("two-state").all()
+    (of_mean,) = fit(table, "two-state", **columns).to_dict("records")
+    arrays = {"perturbation": perturbation, "clamp": clamp}
+    expected = fit_curve(y.mean(axis=0), **arrays).parameters["B_f"]
+    assert of_mean["B_f"] == pytest.approx(expected, abs=1e-6)
+    seen = fit(table, "two-state", by=["who"], error="error", **columns)
+    alone = fit_curve(y[1], error=errors[1], **arrays)
+    assert seen["A_s"][1] == alone.parameters["A_s"]
+    with pytest.raises(UserError, match=r"column 'turned', got \['who', 'trial'"):
+        fit(table, y="hand", perturbation="turned")
+    with pytest.raises(UserError, match=r"model 'two-stat' .* 'two-state'"):
+        fit(table, "two-stat", **columns)
+
+
+def test_an_exponential_is_found_again_and_noise_has_none():
+    rates = np.array([0.01, 0.1, 0.7])
+    curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
+    curves[:, 7] = np.nan
+    asymptotes, found, starts = fit_exponential(curves).T
+    assert asymptotes == pytest.approx([20.0] * 3, rel=1e-4)
+    assert starts == pytest.approx([5.0] * 3, rel=1e-4)
+    assert found == pytest.approx(rates, rel=1e-4)
+    assert fit_curve(curves[1], "exponential").mean_square == pytest.approx(0.0, abs=1e-6)
+    noise = np.random.default_rng(0).normal(size=(20, 100))
+    assert np.isnan(fit_exponential(noise)).all()
+    assert np.isnan(fit_exponential(np.zeros(100))).all()
+
+
+@pytest.mark.parametrize("width", [15.0, 38.0, 90.0])
+def test_the_width_of_a_gaussian(width):
+    offsets = np.array([-135.0, -90, -45, -22.5, 0, 22.5, 45, 90, 135, 180])
+    adaptation = 20 * np.exp(-((offsets - 5) ** 2) / (2 * width**2))
+    assert generalization_width(adaptation, offsets) == pytest.approx(width, rel=1e-3)
+    assert np.isnan(generalization_width(adaptation[:3], offsets[:3]))
+    unseen = np.where(offsets == 45, np.nan, adaptation)
+    assert generalization_width(unseen, offsets) == pytest.approx(width, rel=1e-3)
+    assert generalization_width(np.full(len(offsets), 20.0), offsets) == pytest.approx(180)
+    found = fit_curve(adaptation + 4, "gaussian", x=offsets).parameters
+    expected = {"offset": 4.0, "height": 20.0, "centre": 5.0, "width": width}
+    assert found == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("fitted", "arguments"),
+    [
+        (fit_exponential, (UNKNOWN,)),
+        (fit_exponential, (np.r_[1.0, 2, 3, UNKNOWN, np.inf],)),
+        (choose_states, (np.ones(60), UNKNOWN, np.nan)),  # no error is seen
+        (choose_states, (-np.arange(60.0), np.full(60, 30.0), np.nan)),  # away from what would help
+        (choose_states, (UNKNOWN, np.ones(60), np.nan)),
+        (generalization_width, (UNKNOWN[:8], ROUND)),
+        (generalization_width, (np.full(8, np.inf), ROUND)),
+        (generalization_width, (np.r_[1.0, 2, 1, UNKNOWN[:5]], ROUND)),
+        (fit_gaussian, (np.ones(8), ROUND)),
+        (fit_gaussian, (np.r_[1.0, 2, 1, 3, UNKNOWN[:4]], ROUND)),
+    ],
+)
+def test_where_there_is_too_little_to_fit_there_is_no_number(fitted, arguments):
+    assert np.isnan(fitted(*arguments)).all()
+
+
+def test_intervals_of_few_subjects_are_wider():
+    tails = [expanded_tails(count)[0] for count in (1, 5, 12, 10_000)]
+    assert tails[0] == TAILS[0] and tails[1] < tails[2] < tails[3]
+    assert tails[3] == pytest.approx(TAILS[0], rel=1e-3)
