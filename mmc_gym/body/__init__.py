@@ -45,10 +45,14 @@ def make_arms(
     count: int = 1,
     servo: Servo = "position",
     threads: int = 1,
+    differ: bool = False,
 ) -> ArmBatch:
-    """Build `count` equal arms, simulated by `engine` in `threads` threads; see `make_arm`."""
+    """Build `count` equal arms, simulated by `engine` in `threads` threads; see `make_arm`.
+
+    Only arms that may `differ` can be given other parameters at a reset.
+    """
     _, batch = _classes(engine)
-    return batch(parameters, count, servo, threads)
+    return batch(parameters, count, servo, threads, differ)
 
 
 def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:

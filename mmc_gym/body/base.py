@@ -1,4 +1,4 @@
-"""The interfaces of arms for every engine: one arm, or many equal arms at once."""
+"""The interfaces of arms for every engine: one arm, or many arms at once."""
 
 from __future__ import annotations
 
@@ -49,17 +49,25 @@ class SingleArm(ABC):
         self.reset([0.0] * self._count)
 
     def reset(
-        self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
+        self,
+        joint_angles: Sequence[float],
+        joint_velocities: Sequence[float] | None = None,
+        parameters: ArmParameters | None = None,
     ) -> None:
         """Place the arm.  From then on it moves as a newly built one does, bit for bit.
 
         Until the first command the servos hold the posture (position), stop the joints (velocity)
         or are slack (torque).  Locks are open again.  Angles are N, relative, in radians;
-        velocities N, relative, in rad/s, or None for rest.
+        velocities N, relative, in rad/s, or None for rest.  `parameters` are new ones, of as many
+        segments; None keeps those of the arm.
         """
         speeds = [0.0] * self._count if joint_velocities is None else joint_velocities
         self._require_count("joint_angles", joint_angles)
         self._require_count("joint_velocities", speeds)
+        if parameters is not None and parameters != self.parameters:
+            self._require_count("segment_lengths", parameters.segment_lengths)
+            self.parameters = _checked(parameters)
+            self._build()
         self._place(joint_angles, speeds)
 
     def command(self, values: Sequence[float]) -> None:
@@ -95,7 +103,7 @@ class SingleArm(ABC):
 
 
 class ArmBatch(ABC):
-    """Many equal arms, each of which moves as if it were alone.
+    """Many arms, each of which moves as if it were alone.
 
     The attributes are those of `SingleArm` with a leading axis: `end_effectors` have shape
     (count, 2); angles, velocities and efforts have shape (count, N).  Every step and reset
@@ -114,17 +122,22 @@ class ArmBatch(ABC):
         count: int = 1,
         servo: Servo = "position",
         threads: int = 1,
+        differ: bool = False,
     ) -> None:
-        """Build the arms, stretched along the x axis and at rest; see `SingleArm`.
+        """Build equal arms, stretched along the x axis and at rest; see `SingleArm`.
 
-        The number of threads that simulate the arms does not change the result.
+        The number of threads that simulate the arms does not change the result.  Arms that may
+        `differ` can be given other parameters when they are reset.
         """
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
         self._threads = require_whole("threads", threads)
-        self.parameters = _checked(parameters)
+        self.parameters = p = _checked(parameters)
         self._servo: Servo = servo
-        self._shape = self._count, len(self.parameters.segment_lengths)
+        self._differ = differ
+        self._shape = self._count, len(p.segment_lengths)
+        self._lockable = np.zeros(self._shape, dtype=bool)
+        self._lockable[:, p.lockable_joints] = True
         self.servo_impulses: Floats = np.full(self._shape, nan)
         self.servo_work: Floats = np.full(self._shape, nan)
         self._pool: ThreadPoolExecutor | None = None
@@ -137,10 +150,13 @@ class ArmBatch(ABC):
         joint_angles: ArrayLike,
         arms: ArrayLike | None = None,
         joint_velocities: ArrayLike | None = None,
+        parameters: ArmParameters | None = None,
     ) -> None:
         """Place k of the arms, see `SingleArm.reset`.  The others do not change.
 
-        Angles and velocities are (k, N); `arms` are k different indices, or None for all.
+        Angles and velocities are (k, N); `arms` are k different indices, or None for all.  Arms
+        that may differ take new `parameters`, as `ArmColumns` one for each; their `substep`,
+        `substeps` and whether they have `joint_limits` and `obstacles` stay.
         """
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]
@@ -148,7 +164,12 @@ class ArmBatch(ABC):
         speeds = np.zeros(shape)
         if joint_velocities is not None:
             speeds = _table("joint_velocities", joint_velocities, shape)
-        self._place(chosen, postures, speeds)
+        if parameters is not None:
+            require(self._differ, "parameters", parameters, "left out for arms that do not differ")
+            self._lockable[chosen] = False
+            for joint in parameters.lockable_joints:
+                self._lockable[chosen, joint] = True
+        self._place(chosen, postures, speeds, parameters)
 
     def command(self, values: ArrayLike) -> None:
         """Set values (count, N) for the servos, see `SingleArm.command`."""
@@ -178,7 +199,9 @@ class ArmBatch(ABC):
     def _build(self) -> None: ...
 
     @abstractmethod
-    def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None: ...
+    def _place(
+        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
+    ) -> None: ...
 
     @abstractmethod
     def _command(self, values: Floats) -> None: ...

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import dataclass, fields
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym._errors import (
     LARGEST_SIZE,
@@ -148,9 +153,9 @@ class ArmParameters:
         held = (0.0,) * (len(self.masses) - 1) + (self.hand_mass,)
         beyond = self._stretched_inertias()
         for mass, length, load, moved in zip(self.masses, self.segment_lengths, held, beyond):
-            total = mass + load
-            centre = length / 2 * (1 + load / total)
-            inertia = mass * length**2 / 12 + mass * load / total * (length / 2) ** 2
+            total, half = mass + load, length / 2
+            centre = half * (1 + load / total)
+            inertia = mass * (length * length) / 12 + mass * load / total * (half * half)
             rods.append(Rod(total, centre, inertia + self.drive_inertia * moved))
         return tuple(rods)
 
@@ -159,9 +164,10 @@ class ArmParameters:
         inertias: list[float] = []
         mass_beyond, moment, inertia = 0.0, 0.0, 0.0
         for mass, length in zip(reversed(self.masses), reversed(self.segment_lengths)):
-            inertia += 2 * length * moment + mass_beyond * length**2 + mass * length**2 / 3
-            moment += mass_beyond * length + mass * length / 2
-            mass_beyond += mass
+            square = length * length  # rounds alike for numbers and arrays; `length**2` does not
+            inertia = inertia + (2 * length * moment + mass_beyond * square + mass * square / 3)
+            moment = moment + (mass_beyond * length + mass * length / 2)
+            mass_beyond = mass_beyond + mass
             inertias.insert(0, inertia)
         return inertias
 
@@ -199,3 +205,42 @@ def _are_positive(numbers: tuple[float, ...]) -> bool:
 
 def _is_range(numbers: tuple[float, ...]) -> bool:
     return len(numbers) == 2 and -math.pi <= numbers[0] < numbers[1] <= math.pi
+
+
+class ArmColumns(ArmParameters):
+    """Parameters of k arms of N segments: any number may be an array (k,), and none is checked."""
+
+    @classmethod
+    def of(cls, arm: ArmParameters) -> ArmColumns:
+        """Return the parameters of arms that are all equal to `arm`."""
+        return cls(**{one.name: getattr(arm, one.name) for one in fields(ArmParameters)})
+
+    def __post_init__(self) -> None:
+        """Leave the numbers as they are."""
+
+    def rows(self, count: int) -> list[ArmColumns]:
+        """Return the parameters of each of `count` arms, as numbers."""
+        values = {one.name: getattr(self, one.name) for one in fields(ArmParameters)}
+        vary = {name: value for name, value in values.items() if _has_arrays(value)}
+        rows = []
+        for arm in range(count):
+            row = copy(self)
+            for name, value in vary.items():
+                object.__setattr__(row, name, _of_arm(value, arm))
+            rows.append(row)
+        return rows
+
+
+def stacked(values: Iterable[Any]) -> NDArray[np.float64]:
+    """Return n numbers, or arrays (k,) of the numbers of k arms, as an array (n,) or (k, n)."""
+    return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float64)
+
+
+def _has_arrays(value: Any) -> bool:
+    return any(map(_has_arrays, value)) if type(value) is tuple else isinstance(value, np.ndarray)
+
+
+def _of_arm(value: Any, arm: int) -> Any:
+    if type(value) is tuple:
+        return tuple(_of_arm(one, arm) for one in value)
+    return value[arm].item() if isinstance(value, np.ndarray) else value

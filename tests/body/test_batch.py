@@ -3,6 +3,7 @@
 import copy
 import multiprocessing
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters, PymunkArmBatch, make_arm, make_arms
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
+from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.body.pymunk import batch as batch_module
 
 ROUGH = {
@@ -165,3 +167,61 @@ def test_unknown_arms_are_refused(engine, rows):
         with pytest.raises(UserError, match="arms must be different indices from 0 to 3"):
             act()
     arms.reset(np.zeros((0, 3)), [])
+
+
+CURL = np.array([[[0.0], [1.0]], [[-1.0], [0.0]]])
+
+
+@pytest.mark.usefixtures("few_arms_in_a_space")
+@pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, servo):
+    """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
+    random, count = np.random.default_rng(5), 37
+    arms = make_arms(engine, ArmParameters(**made), count, servo, differ=True)
+    singles = {arm: make_arm(engine, ArmParameters(**made), servo) for arm in range(count)}
+    for step in range(30):
+        if step % 6 == 0:
+            rows = random.permutation(count)[: count if step == 0 else 9]
+            drawn = {
+                "segment_lengths": random.uniform(0.5, 1.5, (3, len(rows))),
+                "hand_mass": random.uniform(0, 2, len(rows)),
+                "gravity": random.uniform(-30, 30, (2, len(rows))),
+                "speed_limit": random.uniform(3, 7, len(rows)),
+                "torque_limit": random.uniform(200, 700, len(rows)),
+                "servo_gain": random.uniform(4, 14, len(rows)),
+                "force_field": CURL * random.uniform(-30, 30, len(rows)) * (step > 10),
+                "lockable_joints": random.integers(0, 3, (1, len(rows))),
+            }
+            if made:
+                drawn["joint_limits"] = random.uniform(1, 2, (3, 2, len(rows))) * [[-1], [1]]
+            columns = replace(
+                ArmColumns.of(arms.parameters), **{k: tuples(v) for k, v in drawn.items()}
+            )
+            angles = random.uniform(-1, 1, (len(rows), 3))
+            arms.reset(angles, rows, parameters=columns)
+            for row, arm in enumerate(rows.tolist()):
+                own = {name: value[..., row].tolist() for name, value in drawn.items()}
+                own = replace(ArmParameters(**made), **own)
+                singles[arm].reset(angles[row].tolist(), parameters=own)
+        values = random.uniform(-2, 2, (count, 3)) * (300 if servo == "torque" else 1)
+        arms.command(values)
+        if step % 4 == 3:
+            arms.lock([1, 2, 30])
+            for arm in (1, 2, 30):
+                singles[arm].lock()
+        for arm, single in singles.items():
+            single.command(values[arm].tolist())
+            single.step()
+        arms.step()
+        assert_equal(arms, singles)
+
+
+def tuples(values):
+    """Return nested tuples of the arrays along the last axis."""
+    return values if values.ndim == 1 else tuple(map(tuples, values))
+
+
+def test_arms_differ_only_if_they_may():
+    with pytest.raises(UserError, match="parameters must be left out for arms that do not differ"):
+        make_arms("pymunk").reset([[0.0] * 3], parameters=ArmParameters(hand_mass=1.0))

@@ -26,7 +26,7 @@ from typing_extensions import override
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm
-from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.parameters import ArmParameters, Servo, stacked
 
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
@@ -66,24 +66,42 @@ def _make_records(segments: int, count: int) -> tuple[Records, Records, Records]
     return state, shown, np.empty(0, fields)
 
 
-def _make_chain(parameters: ArmParameters, servo: Servo) -> Records:
-    """Return the one record that describes all arms: segments, each with the joint before it."""
+def _make_chain(parameters: ArmParameters, servo: Servo, lanes: int) -> Records:
+    """Return the record of a block of equal arms: segments, each with the joint before it."""
     p, count = parameters, len(parameters.segment_lengths)
-    of_segments = "length mass centre inertia lowest_angle highest_angle"
-    of_all = "substep speed_limit torque_limit gain stop_gain is_position is_torque"
-    fields = [*_fields(of_segments, count), *_fields(of_all)]
-    chain = np.zeros(1, [*fields, *_fields("gravity", 2), *_fields("field", 2, 2)])
-    chain["length"] = p.segment_lengths
-    chain["mass"], chain["centre"], chain["inertia"] = np.transpose(p.rods)
-    limits = p.joint_limits or ((-math.inf, math.inf),) * count
-    chain["lowest_angle"], chain["highest_angle"] = np.transpose(limits)
-    for name in ("substep", "speed_limit", "torque_limit", "gravity"):
-        chain[name] = getattr(p, name)
-    chain["gain"] = -math.expm1(-p.servo_gain * p.substep) / p.substep
+    fields = _fields("length mass centre inertia lowest_angle highest_angle", count, lanes)
+    fields += _fields("speed_limit torque_limit gain", lanes)
+    fields += _fields("gravity", 2, lanes) + _fields("field", 2, 2, lanes)
+    chain = np.zeros(1, fields + _fields("substep stop_gain is_position is_torque has_field"))
+    chain["substep"] = p.substep
     chain["stop_gain"] = -math.expm1(-_STOP_RATE * p.substep) / p.substep
     chain["is_position"], chain["is_torque"] = servo == "position", servo == "torque"
-    chain["field"] = p.force_field or 0.0
+    _write(chain, np.zeros(lanes, np.intp), np.arange(lanes), p)
     return chain
+
+
+def _write(chain: Records, blocks: Indices, lanes: Indices, p: ArmParameters) -> None:
+    """Write the parameters of k arms, which may be `ArmColumns`, into their blocks and lanes."""
+    masses, centres, inertias = zip(*p.rods, strict=True)
+    lowest, highest = zip(*(p.joint_limits or [(-math.inf, math.inf)] * len(masses)), strict=True)
+    decays = [-math.expm1(-gain * p.substep) for gain in np.ravel(p.servo_gain).tolist()]
+    field = p.force_field or ((0.0, 0.0), (0.0, 0.0))
+    values = {
+        "length": stacked(p.segment_lengths),
+        "mass": stacked(masses),
+        "centre": stacked(centres),
+        "inertia": stacked(inertias),
+        "lowest_angle": stacked(lowest),
+        "highest_angle": stacked(highest),
+        "speed_limit": p.speed_limit,
+        "torque_limit": p.torque_limit,
+        "gain": np.divide(decays, p.substep),
+        "gravity": stacked(p.gravity),
+        "field": (of_rows := stacked([*field[0], *field[1]])).reshape(*of_rows.shape[:-1], 2, 2),
+    }
+    for name, value in values.items():
+        chain[name][blocks, ..., lanes] = value
+    chain["has_field"] = chain["field"].any(axis=(1, 2, 3))
 
 
 def _independence(parameters: ArmParameters) -> float:
@@ -125,9 +143,10 @@ class AnalyticArmBatch(ArmBatch):
             "larger for the analytic engine, or lengths and masses more alike: the movements of "
             'the joints cannot be told apart (engine="pymunk" takes such arms)',
         )
-        self._chain = _make_chain(self.parameters, self._servo)
         self._state, shown, self._no_work = _make_records(self._shape[1], self._count)
         self._lanes = self._state["angle"].shape[-1]
+        #: one record, or one for each block if arms differ
+        self._chain = _make_chain(self.parameters, self._servo, self._lanes)
         self._show(shown)
 
     def _show(self, shown: NDArray[np.void]) -> None:
@@ -145,7 +164,13 @@ class AnalyticArmBatch(ArmBatch):
         self._show(self.shown)  # copying or unpickling turns views into separate arrays
 
     @override
-    def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
+    def _place(
+        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
+    ) -> None:
+        if parameters is not None:
+            if len(self._chain) < len(self._state):
+                self._chain = np.repeat(self._chain, len(self._state))
+            _write(self._chain, arms // self._lanes, arms % self._lanes, parameters)
         kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override
@@ -177,23 +202,25 @@ class AnalyticArmBatch(ArmBatch):
         Relative values are added to the present joint angles.  `values` are float32 or float64, in
         C order.
         """
-        state = self._state[self._blocks(first, last)]
-        kernel.command(state, self._chain, values[first:last], scale, is_relative)
+        state, chain = self._blocks(first, last)
+        kernel.command(state, chain, values[first:last], scale, is_relative)
 
     def step_arms(self, first: int, last: int) -> None:
         """Simulate one control step of a share of the arms."""
-        state, shown = self._state[self._blocks(first, last)], self.shown[first:last]
-        kernel.step(state, shown, self._chain, self._no_work, self.parameters.substeps)
+        state, chain = self._blocks(first, last)
+        kernel.step(state, self.shown[first:last], chain, self._no_work, self.parameters.substeps)
 
-    def _blocks(self, first: int, last: int) -> slice:
-        """Return the blocks of arms `first` to `last` - 1; `first` begins a block."""
-        return slice(first // self._lanes, -(-last // self._lanes))
+    def _blocks(self, first: int, last: int) -> tuple[Records, Records]:
+        """Return state and chain of arms `first` to `last` - 1; `first` begins a block."""
+        blocks = slice(first // self._lanes, -(-last // self._lanes))
+        return self._state[blocks], self._chain[blocks] if len(self._chain) > 1 else self._chain
 
     @override
     def _lock(self, arms: Indices) -> None:
-        for joint in self.parameters.lockable_joints:
-            held = self._state["held"][:, joint]
-            held[arms // self._lanes, arms % self._lanes] = self.joint_angles[arms, joint]
+        rows, joints = np.nonzero(self._lockable[arms])
+        arms = arms[rows]
+        held = self._state["held"]
+        held[arms // self._lanes, joints, arms % self._lanes] = self.joint_angles[arms, joints]
 
 
 class AnalyticArm(SingleArm):

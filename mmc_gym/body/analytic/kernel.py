@@ -26,6 +26,9 @@ which joints are at a bound, solve, change the guess (Júdice & Pires 1994, Comp
 Research 21, 587–596).  A joint thrown against its stop while its servo is at a bound is a further
 case.  All lanes are solved together; lanes that are done keep their solution while others continue.
 
+Arms may differ: their parameters are arrays over lanes too, in a record `chain` for each block, or
+in one for all blocks if the arms are equal, which then stays in the cache.
+
 Lanes never mix, and no operations are reordered or fused.  So an arm's numbers do not depend on its
 neighbours, its lane or the machine's vector width.  The compiler turns a loop over lanes into
 vector instructions only if the loop contains no other loop, and if the compiler can tell, at the
@@ -57,11 +60,12 @@ def _between(absolute, i, k):
 @compiled
 def place(state, shown, chain, no_work, chosen, postures, speeds):
     """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
-    c, works = chain[0], np.zeros(1, no_work.dtype)
-    segments, lanes = c.length.shape[0], state[0].angle.shape[1]
-    is_position, is_torque = c.is_position > 0.0, c.is_torque > 0.0
+    works = np.zeros(1, no_work.dtype)
+    segments, lanes = state[0].angle.shape
+    is_position, is_torque = chain[0].is_position > 0.0, chain[0].is_torque > 0.0
     for row in range(chosen.shape[0]):
-        arms, k = state[chosen[row] // lanes], chosen[row] % lanes
+        block, k = chosen[row] // lanes, chosen[row] % lanes
+        arms, c = state[block], chain[min(block, chain.shape[0] - 1)]
         angle = speed = 0.0
         for i in range(segments):
             angle += postures[row, i]
@@ -72,8 +76,8 @@ def place(state, shown, chain, no_work, chosen, postures, speeds):
             arms.lag_y[i, k] = 0.0
             arms.held[i, k] = np.nan
             arms.yields[i, k] = 1.0
-            arms.limit[i, k] = 0.0 if is_torque else c.substep * c.torque_limit
-            least, most = c.lowest_angle[i], c.highest_angle[i]
+            arms.limit[i, k] = 0.0 if is_torque else c.substep * c.torque_limit[k]
+            least, most = c.lowest_angle[i, k], c.highest_angle[i, k]
             if not is_position:
                 arms.asked[i, k] = 0.0
             elif np.isfinite(least):
@@ -83,6 +87,7 @@ def place(state, shown, chain, no_work, chosen, postures, speeds):
     for block in np.unique(chosen // lanes):
         work = works[0]  # here, because a record does not keep its array alive
         _look(state[block], work, lanes)
+        c = chain[min(block, chain.shape[0] - 1)]
         _show(state[block], work, c, shown[block * lanes : (block + 1) * lanes])
 
 
@@ -92,22 +97,21 @@ def command(state, chain, values, scale, is_relative):
 
     Relative values are added to the present joint angles.
     """
-    c = chain[0]
-    is_torque, is_position = c.is_torque > 0.0, c.is_position > 0.0
+    is_torque, is_position = chain[0].is_torque > 0.0, chain[0].is_position > 0.0
     for block in range(state.shape[0]):
-        arms = state[block]
+        arms, c = state[block], chain[min(block, chain.shape[0] - 1)]
         first = block * arms.angle.shape[1]
         lanes = min(arms.angle.shape[1], values.shape[0] - first)
         for i in range(arms.angle.shape[0]):
-            least, most = c.lowest_angle[i], c.highest_angle[i]
-            is_limited = np.isfinite(least)
             for k in range(lanes):
+                least, most = c.lowest_angle[i, k], c.highest_angle[i, k]
+                is_limited = np.isfinite(least)
                 angle = _between(arms.angle, i, k)
                 value = scale * values[first + k, i]
                 value = value + angle if is_relative else value
                 if is_torque:
-                    arms.asked[i, k] = c.speed_limit if value >= 0.0 else -c.speed_limit
-                    arms.limit[i, k] = c.substep * min(abs(value), c.torque_limit)
+                    arms.asked[i, k] = c.speed_limit[k] if value >= 0.0 else -c.speed_limit[k]
+                    arms.limit[i, k] = c.substep * min(abs(value), c.torque_limit[k])
                 elif is_position and is_limited:
                     arms.asked[i, k] = min(max(value, least), most)
                 elif is_position:
@@ -121,17 +125,16 @@ def command(state, chain, values, scale, is_relative):
 @compiled
 def step(state, shown, chain, no_work, substeps):
     """Simulate one control step of the arms in `state`, and write their public values."""
-    c, works = chain[0], np.zeros(1, no_work.dtype)
-    has_field = np.abs(c.field).max() > 0.0
+    works = np.zeros(1, no_work.dtype)
     for block in range(state.shape[0]):
         work = works[0]  # here, because a record does not keep its array alive
-        arms = state[block]
+        arms, c = state[block], chain[min(block, chain.shape[0] - 1)]
         first = block * arms.angle.shape[1]
         lanes = min(arms.angle.shape[1], shown.shape[0] - first)
         _look(arms, work, lanes)
         for _ in range(substeps):
             _move(arms, work, c, lanes)
-            if has_field:
+            if c.has_field > 0.0:
                 _weigh(work, c, lanes)
                 _push(arms, work, c, lanes)
             _ask(arms, work, c, lanes)
@@ -163,8 +166,8 @@ def _move(arms, work, chain, lanes):
     work.velocity_x[:] = 0.0
     work.velocity_y[:] = 0.0
     for i in range(segments):
-        carried = chain.centre[i] if i == segments - 1 else chain.length[i]
         for k in range(lanes):
+            carried = chain.centre[i, k] if i == segments - 1 else chain.length[i, k]
             speed, sine, cosine = arms.speed[i, k], work.sine[i, k], work.cosine[i, k]
             lag_x, lag_y = arms.lag_x[i, k], arms.lag_y[i, k]
             angle = arms.angle[i, k] + h * speed
@@ -189,9 +192,7 @@ def _push(arms, work, chain, lanes):
     `mmc_gym.body.pymunk.linkage.HandField` has the equations.
     """
     segments = arms.angle.shape[0]
-    reach = chain.length[segments - 1] - chain.centre[segments - 1]
     half = 0.5 * chain.substep
-    xx, xy, yx, yy = chain.field[0, 0], chain.field[0, 1], chain.field[1, 0], chain.field[1, 1]
     # First, the impulses that the joints must give to keep their speeds.
     work.push_x[:] = 0.0
     work.push_y[:] = 0.0
@@ -201,10 +202,13 @@ def _push(arms, work, chain, lanes):
             work.wanted[i, k] = _between(arms.speed, i, k)
     _need(arms, work, chain, lanes)
     for k in range(lanes):
+        reach = chain.length[segments - 1, k] - chain.centre[segments - 1, k]
+        xx, xy = chain.field[0, 0, k], chain.field[0, 1, k]
+        yx, yy = chain.field[1, 0, k], chain.field[1, 1, k]
         x = y = 0.0
         for i in range(segments - 1, -1, -1):
-            x += chain.length[i] * work.cosine[i, k]
-            y += chain.length[i] * work.sine[i, k]
+            x += chain.length[i, k] * work.cosine[i, k]
+            y += chain.length[i, k] * work.sine[i, k]
             work.load_x[i, k] = -y  # the Jacobian J
             work.load_y[i, k] = x
         along = across = other = 0.0  # the hand's mobility Λ
@@ -254,11 +258,11 @@ def _let_yield(arms, work, impulse, k):
 @inner
 def _ask(arms, work, chain, lanes):
     """Compute the speed each joint asks for, its range of impulses, and what its stop allows."""
-    fastest, gain, stop, rate = chain.speed_limit, chain.gain, chain.stop_gain, 1.0 / chain.substep
-    is_position = chain.is_position > 0.0
+    stop, rate, is_position = chain.stop_gain, 1.0 / chain.substep, chain.is_position > 0.0
     for k in range(lanes):
+        fastest, gain = chain.speed_limit[k], chain.gain[k]
         for i in range(arms.angle.shape[0]):
-            least, most = chain.lowest_angle[i], chain.highest_angle[i]
+            least, most = chain.lowest_angle[i, k], chain.highest_angle[i, k]
             angle = _between(arms.angle, i, k)
             asked, limit, held = arms.asked[i, k], arms.limit[i, k], arms.held[i, k]
             wanted = gain * (asked - angle) if is_position else asked
@@ -284,11 +288,11 @@ def _need(arms, work, chain, lanes):
     """Compute the impulses that give the wanted speeds; return whether any is out of bounds."""
     segments = arms.angle.shape[0]
     last = segments - 1
-    fall_x, fall_y = chain.substep * chain.gravity[0], chain.substep * chain.gravity[1]
     for k in range(lanes):
+        fall_x, fall_y = chain.substep * chain.gravity[0, k], chain.substep * chain.gravity[1, k]
         x = y = turn = 0.0
         for i in range(segments):
-            length, mass, centre = chain.length[i], chain.mass[i], chain.centre[i]
+            length, mass, centre = chain.length[i, k], chain.mass[i, k], chain.centre[i, k]
             turn = turn + work.wanted[i, k]
             change_x = -work.sine[i, k] * turn - work.free_x[i, k]
             change_y = work.cosine[i, k] * turn - work.free_y[i, k]
@@ -302,7 +306,7 @@ def _need(arms, work, chain, lanes):
         needed = -work.push_turn[k]
         x = y = beyond = 0.0
         for i in range(segments - 1, -1, -1):
-            length, centre, inertia = chain.length[i], chain.centre[i], chain.inertia[i]
+            length, centre, inertia = chain.length[i, k], chain.centre[i, k], chain.inertia[i, k]
             load_x, load_y = work.load_x[i, k], work.load_y[i, k]
             push_x = length * x + centre * load_x
             push_y = length * y + centre * load_y
@@ -342,8 +346,8 @@ def _show(arms, work, chain, shown):
             arm.joint_angles[i] = angle
             arm.joint_velocities[i] = _between(arms.speed, i, k)
             arm.joint_sines[i], arm.joint_cosines[i] = sine_cosine(angle)
-            x += chain.length[i] * work.cosine[i, k]
-            y += chain.length[i] * work.sine[i, k]
+            x += chain.length[i, k] * work.cosine[i, k]
+            y += chain.length[i, k] * work.sine[i, k]
         arm.end_effector[0] = x
         arm.end_effector[1] = y
 
@@ -355,8 +359,8 @@ def _weigh(work, chain, lanes):
     for k in range(lanes):
         x = y = inertia = beyond = 0.0
         for j in range(segments - 1, -1, -1):
-            length, mass, centre = chain.length[j], chain.mass[j], chain.centre[j]
-            own = mass * centre * centre + chain.inertia[j] + beyond * length * length
+            length, mass, centre = chain.length[j, k], chain.mass[j, k], chain.centre[j, k]
+            own = mass * centre * centre + chain.inertia[j, k] + beyond * length * length
             moment = mass * centre + beyond * length
             beyond += mass
             cosine, sine = work.cosine[j, k], work.sine[j, k]
@@ -369,8 +373,8 @@ def _weigh(work, chain, lanes):
         for j in range(segments):
             x = y = 0.0
             for i in range(j - 1, -1, -1):
-                x = x + chain.length[i] * work.cosine[i, k]
-                y = y + chain.length[i] * work.sine[i, k]
+                x = x + chain.length[i, k] * work.cosine[i, k]
+                y = y + chain.length[i, k] * work.sine[i, k]
                 along = work.moment_x[j, k] * x
                 across = work.moment_y[j, k] * y
                 work.matrix[j, i, k] = work.matrix[j, j, k] + along + across

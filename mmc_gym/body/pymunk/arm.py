@@ -57,10 +57,10 @@ class PymunkArm(SingleArm):
     @override
     def _build(self) -> None:
         p = self.parameters
-        self._field = None if p.force_field is None else HandField(p)
         self._buffer = Buffer()
         self._space = make_space(p)
         self._linkage = Linkage(self._space, p, self._servo)
+        self._field = None if p.force_field is None else self._linkage.field
 
     @override
     def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -112,7 +112,7 @@ class PymunkArm(SingleArm):
                 self._push_hand(field)
             chipmunk.cpSpaceStep(space, substep)
             if field is not None:
-                self._yields = self._linkage.yields(substep)
+                self._yields = self._linkage.yields()
             if records:
                 after = self._velocities()
                 for joint, servo in enumerate(self._linkage.servo_handles):

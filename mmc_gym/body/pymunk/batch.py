@@ -1,4 +1,4 @@
-"""Many equal arms in a few pymunk Spaces, commanded and read by arrays.
+"""Many arms in a few pymunk Spaces, commanded and read by arrays.
 
     arms      0 … 127    128 … 255    256 …
     group         0           1          2  …    stepped one after the other, or by several threads
@@ -24,12 +24,13 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import ArmBatch, Floats, Indices
-from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
 from mmc_gym.body.pymunk.linkage import (
     FULL,
     MOTION,
     HandField,
     Linkage,
+    change_space,
     forget_impulses,
     make_space,
 )
@@ -41,18 +42,20 @@ _WORTH_A_THREAD = 16  # arms
 class ArmGroup:
     """A group of `count` arms, from index `first` on, that are stepped and read together.
 
-    They share a Space.  Arms with obstacles have a Space each, because they would collide.
+    They share a Space.  Arms with obstacles have a Space each, because they would collide, and so
+    have arms that may differ, because gravity and the number of sweeps belong to a Space.
     """
 
-    def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
+    def __init__(
+        self, parameters: ArmParameters, servo: Servo, first: int, count: int, differ: bool
+    ) -> None:
         self.arms = slice(first, first + count)
-        self._parameters, self._servo = parameters, servo
+        self._servo, self._is_apart = servo, differ or bool(parameters.obstacles)
         self._shape = count, len(parameters.segment_lengths)
-        spaces, arms_per_space = (count, 1) if parameters.obstacles else (1, count)
+        spaces, arms_per_space = (count, 1) if self._is_apart else (1, count)
         self._segments_per_space = arms_per_space * self._shape[1]
-        bodies = self._segments_per_space + bool(parameters.obstacles)  # all obstacles are the last
+        bodies = self._segments_per_space + self._is_apart  # all obstacles are the last
         self._buffer = Buffer()
-        self._field = None if parameters.force_field is None else HandField(parameters)
         self._pushes = np.zeros((spaces, bodies, 3))  # of each body: force x, y and torque
         self._push_buffers = [Buffer() for _ in range(spaces)]
         for buffer, pushes in zip(self._push_buffers, self._pushes):
@@ -60,12 +63,24 @@ class ArmGroup:
         self._yields = np.ones(self._shape)
         self._spaces = [make_space(parameters) for _ in range(spaces)]
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
-        self.linkages = [Linkage(space, parameters, servo) for space in by_arm]
-        self._find_handles()
+        self.linkages = [Linkage(space, parameters, servo, self._is_apart) for space in by_arm]
+        self._collect()
 
-    def _find_handles(self) -> None:
+    def _collect(self) -> None:
+        """Collect what a step needs of the arms."""
         self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
         self._bodies = [body for linkage in self.linkages for body, _, _ in linkage.rods]
+        every = [linkage.parameters for linkage in self.linkages]
+        self._substeps = np.array([[p.substeps] for p in every])
+        self._substep = np.array([[p.substep] for p in every])
+        #: of each Space: its physics steps in a control step, their duration, and its handle
+        self._paces = [
+            (p.substeps, p.substep, space._space) for p, space in zip(every, self._spaces)
+        ]
+        self._field: HandField | None = None
+        if any(p.force_field is not None for p in every):
+            own = [linkage.field for linkage in self.linkages]
+            self._field = HandField.of(own) if self._is_apart else own[0]
 
     def drive(self, settings: Floats, torques: Floats) -> None:
         """Set the servos: their phases or rates, and their largest torques, (count, N)."""
@@ -78,32 +93,38 @@ class ArmGroup:
 
     def step(self, effort: tuple[Floats, Floats] | None) -> None:
         """Simulate a control step; write the servos' impulses and work (count, N) to `effort`."""
-        substep = self._parameters.substep
+        if self._field is None and not effort:
+            for substeps, substep, space in self._paces:
+                for _ in range(substeps):
+                    chipmunk.cpSpaceStep(space, substep)
+            return
         before = self._joint_velocities() if effort else np.empty(0)
         for array in effort or ():
             array[:] = 0.0
-        for _ in range(self._parameters.substeps):
+        for number in range(self._substeps.max()):
             if self._field is not None:
-                self._push_hands(self._field)
-            for space in self._spaces:
-                chipmunk.cpSpaceStep(space._space, substep)
+                self._push_hands(self._field, number)
+            for substeps, substep, space in self._paces:
+                if number < substeps:
+                    chipmunk.cpSpaceStep(space, substep)
             if self._field is not None:
-                self._yields[:] = self._find_yields(substep)
+                self._yields[:] = self._find_yields()
             if effort:
                 after = self._joint_velocities()
                 now = self._read(chipmunk.cpConstraintGetImpulse, self._servos)
+                now *= number < self._substeps
                 impulses, work = effort
                 impulses += now
                 work += now * np.abs(before + after) / 2
                 before = after
 
-    def _find_yields(self, substep: float) -> ArrayLike:
+    def _find_yields(self) -> ArrayLike:
         """Return `Linkage.yields` of all arms, (count, N); without stops and locks all at once."""
-        if self._parameters.joint_limits is not None or self._parameters.lockable_joints:
-            return [linkage.yields(substep) for linkage in self.linkages]
+        if self.linkages[0].has_stops_or_locks:
+            return [linkage.yields() for linkage in self.linkages]
         give = self._read(chipmunk.cpConstraintGetImpulse, self._servos)
         most = self._read(chipmunk.cpConstraintGetMaxForce, self._servos)
-        return give >= FULL * most * substep
+        return give >= FULL * most * self._substep
 
     def _joint_velocities(self) -> Floats:
         if len(self._spaces) > 1:  # a call for each body is quicker than one for each Space
@@ -133,14 +154,15 @@ class ArmGroup:
         state = self._fields(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
-    def _push_hands(self, field: HandField) -> None:
-        """Set the field's forces and torques on the last segments for the next physics step."""
+    def _push_hands(self, field: HandField, number: int) -> None:
+        """Set the field's forces and torques on the last segments for physics step `number`."""
         count = self._shape[1]
-        pushes = field.impulses(self._fields(MOTION), self._yields) / self._parameters.substep
+        pushes = field.impulses(self._fields(MOTION), self._yields) / self._substep
         of_hands = self._pushes[:, count - 1 : self._segments_per_space : count]
         of_hands[:] = pushes.reshape(of_hands.shape)
-        for space, buffer in zip(self._spaces, self._push_buffers):
-            set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
+        for space, buffer, (substeps, *_) in zip(self._spaces, self._push_buffers, self._paces):
+            if number < substeps:
+                set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
 
     def reset(
         self,
@@ -148,35 +170,45 @@ class ArmGroup:
         joint_angles: Sequence[Sequence[float]],
         joint_velocities: Sequence[Sequence[float]],
         scratch: pymunk.Space,
+        parameters: Sequence[ArmParameters] | None = None,
     ) -> None:
         """Place the arms `members` of the group; `scratch` is an empty Space."""
-        if self._parameters.obstacles:  # Chipmunk remembers contacts, and cannot forget them
-            self._rebuild(members)
-        linkages = [self.linkages[member] for member in members]
-        if not self._parameters.obstacles:
-            self._forget_impulses(linkages, scratch)
-        for linkage, posture, speeds in zip(linkages, joint_angles, joint_velocities):
-            linkage.place(posture, speeds)
+        of_members = parameters or [self.linkages[member].parameters for member in members]
+        kept = []
+        for member, p in zip(members, of_members):
+            linkage, space = self.linkages[member], self._spaces[member * self._is_apart]
+            # Chipmunk remembers contacts, and cannot forget them.
+            if linkage.parameters.obstacles or p.obstacles or not linkage.can_become(p):
+                self._spaces[member] = space = make_space(p)
+                self.linkages[member] = Linkage(space, p, self._servo, has_ground=True)
+                continue
+            kept.append((linkage, space))
+            if parameters is not None:
+                linkage.change(p)
+                change_space(space, p)
+        if parameters is not None or len(kept) < len(members):
+            self._collect()
+        self._forget_impulses(kept, scratch)
+        for member, posture, speeds in zip(members, joint_angles, joint_velocities):
+            self.linkages[member].place(posture, speeds)
         self._yields[members] = 1.0
 
-    def _rebuild(self, members: Sequence[int]) -> None:
-        """Build these arms and their Spaces anew."""
-        for member in members:
-            self._spaces[member] = space = make_space(self._parameters)
-            self.linkages[member] = Linkage(space, self._parameters, self._servo)
-        self._find_handles()
-
-    def _forget_impulses(self, linkages: Sequence[Linkage], scratch: pymunk.Space) -> None:
+    def _forget_impulses(
+        self, kept: Sequence[tuple[Linkage, pymunk.Space]], scratch: pymunk.Space
+    ) -> None:
         """Clear what the joints of these arms remember; the other arms do not move."""
-        [space], substep = self._spaces, self._parameters.substep
-        if len(linkages) == len(self.linkages):
-            forget_impulses(space, linkages, substep)
-            return
-        for linkage in linkages:
-            linkage.move_joints(space, scratch)
-        forget_impulses(scratch, linkages, substep)
-        for linkage in linkages:
-            linkage.move_joints(scratch, space)
+        linkages = [linkage for linkage, _ in kept]
+        if self._is_apart:
+            for linkage, space in kept:
+                forget_impulses(space, [linkage], linkage.parameters.substep)
+        elif len(linkages) == len(self.linkages):
+            forget_impulses(self._spaces[0], linkages, self._paces[0][1])
+        else:
+            for linkage in linkages:
+                linkage.move_joints(self._spaces[0], scratch)
+            forget_impulses(scratch, linkages, self._paces[0][1])
+            for linkage in linkages:
+                linkage.move_joints(scratch, self._spaces[0])
 
 
 def _relative(absolute: Floats) -> Floats:
@@ -204,28 +236,42 @@ class PymunkArmBatch(ArmBatch):
         fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
         self._arms_per_group = most = min(ARMS_PER_GROUP, fair)
         self._groups = [
-            ArmGroup(self.parameters, self._servo, first, min(most, self._count - first))
+            ArmGroup(
+                self.parameters, self._servo, first, min(most, self._count - first), self._differ
+            )
             for first in range(0, self._count, most)
         ]
         self._settings: Floats = np.zeros(shape)  # of the servos: phases or rates
         self._torques: Floats = np.full(shape, self.parameters.torque_limit)
+        self._lengths, self._lowest, self._highest = np.zeros((3, *shape))
+        self._speed_limits, self._torque_limits = np.zeros((2, self._count, 1))
+        self._note(np.arange(self._count), self.parameters)
         self._commanded = False  # whether the next step has to set the servos
         self._scratch = pymunk.Space()
         self._scratch.iterations = 1
 
+    def _note(self, arms: Indices, p: ArmParameters) -> None:
+        """Keep the parameters of these arms that are read in every step."""
+        self._lengths[arms] = stacked(p.segment_lengths)
+        self._speed_limits[arms] = np.reshape(p.speed_limit, (-1, 1))
+        self._torque_limits[arms] = np.reshape(p.torque_limit, (-1, 1))
+        if p.joint_limits is not None:
+            lowest, highest = zip(*p.joint_limits)
+            self._lowest[arms], self._highest[arms] = stacked(lowest), stacked(highest)
+
     @override
     def _command(self, values: Floats, arms: slice | Indices = slice(None)) -> None:
-        p = self.parameters
+        fastest = self._speed_limits[arms]
         if self._servo == "velocity":
-            self._settings[arms] = -np.minimum(np.maximum(values, -p.speed_limit), p.speed_limit)
+            self._settings[arms] = -np.minimum(np.maximum(values, -fastest), fastest)
         elif self._servo == "torque":
-            self._settings[arms] = np.copysign(p.speed_limit, -values)
-            self._torques[arms] = np.minimum(np.abs(values), p.torque_limit)
-        elif p.joint_limits is None:
+            self._settings[arms] = np.copysign(fastest, -values)
+            self._torques[arms] = np.minimum(np.abs(values), self._torque_limits[arms])
+        elif self.parameters.joint_limits is None:
             angles = self.joint_angles[arms]
             self._settings[arms] = angles + _each(math.remainder, values - angles, math.tau)
         else:
-            low, high = np.transpose(p.joint_limits)
+            low, high = self._lowest[arms], self._highest[arms]
             self._settings[arms] = np.minimum(np.maximum(values, low), high)
         self._commanded = True
 
@@ -260,15 +306,23 @@ class PymunkArmBatch(ArmBatch):
         self.joint_velocities[arms] = _relative(self._segment_velocities[arms])
         x, y = _each(math.cos, angles), _each(math.sin, angles)
         hands = np.zeros((len(angles), 2))
-        for segment, length in enumerate(self.parameters.segment_lengths):
+        for segment, length in enumerate(self._lengths[arms].T):
             hands[:, 0] += length * x[:, segment]  # in the order in which `PymunkArm` adds them
             hands[:, 1] += length * y[:, segment]
         self.end_effectors[arms] = hands
 
     @override
-    def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
+    def _place(
+        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
+    ) -> None:
+        rows: list[ArmColumns] = []
+        if parameters is not None:
+            rows = ArmColumns.of(parameters).rows(len(arms))
+            self._note(arms, parameters)
         for group, part, members in self._by_group(arms):
-            group.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
+            angles, velocities = postures[part].tolist(), speeds[part].tolist()
+            new = [rows[row] for row in part] if rows else None
+            group.reset(members, angles, velocities, self._scratch, new)
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)

@@ -75,9 +75,16 @@ def solver_iterations(parameters: ArmParameters) -> int:
 class Linkage:
     """One arm in a Space, which may hold others.  All sequences run from the base outward."""
 
-    def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
-        """Build the arm into `space`."""
-        self._parameters, self._servo = parameters, servo
+    parameters: ArmParameters
+    #: of each segment, its body's handle, its length, and its centre's distance from its joint
+    rods: list[tuple[Any, float, float]]
+    force_limits: list[float]  #: of `joint_handles`, with the locks open
+
+    def __init__(
+        self, space: pymunk.Space, parameters: ArmParameters, servo: Servo, has_ground: bool = False
+    ) -> None:
+        """Build the arm into `space`, with a ground for obstacles if there are or may be any."""
+        self.parameters, self._servo = parameters, servo
         #: bodies of the N segments; their origin is their centre of gravity
         self.segments: list[pymunk.Body] = []
         self.servos: list[pymunk.Constraint] = []  #: the N constraints that drive the joints
@@ -85,49 +92,89 @@ class Linkage:
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
         self.locked = False  #: whether these constraints are closed
         self._stops: list[Any] = []  # handles of the joint limits, where there are any
-        #: of each segment, its body's handle, its length, and its centre's distance from its joint
-        self.rods: list[tuple[Any, float, float]] = []
+        self._pivots: list[Any] = []  # handles
         # Every arm has its own base, a body outside of the Space.  The Space's static body would be
         # read and written by bulk calls.
-        parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
+        parent = pymunk.Body(body_type=pymunk.Body.STATIC)
         joints: list[list[pymunk.Constraint]] = []
-        for joint, (length, rod) in enumerate(zip(parameters.segment_lengths, parameters.rods)):
-            mass, centre, inertia = rod
-            segment = pymunk.Body(mass, inertia)
+        for joint in range(len(parameters.segment_lengths)):
+            segment = pymunk.Body(1.0, 1.0)  # `change` sets the numbers
             space.add(segment)
             joints.append(self._make_joint(joint, parent, segment))
-            pivot = pymunk.PivotJoint(parent, segment, (anchor, 0.0), (-centre, 0.0))
+            pivot = pymunk.PivotJoint(parent, segment, (0.0, 0.0), (0.0, 0.0))
             pivot.error_bias = 0.0
+            self._pivots.append(pivot._constraint)
             joints[-1].append(pivot)
             self.segments.append(segment)
-            self.rods.append((segment._body, length, centre))
-            parent, anchor = segment, length - centre
+            parent = segment
         in_order = [constraint for joint in reversed(joints) for constraint in joint]
         space.add(*in_order)
-        if parameters.obstacles:
-            self._add_shapes(space)
         self.servo_handles = [servo._constraint for servo in self.servos]  #: handles of the servos
         #: of all constraints, in the order in which Chipmunk solves them
         self.joint_handles = [constraint._constraint for constraint in in_order]
-        #: of each of these, with the locks open
-        self.force_limits = [constraint.max_force for constraint in in_order]
+        self.change(parameters)
+        if has_ground or parameters.obstacles:
+            self._add_ground(space)
+
+    def can_become(self, parameters: ArmParameters) -> bool:
+        """Return whether `change` takes these parameters: the arm has the joints they need."""
+        locks = {joint for joint, _ in self.locks}
+        has_limits = parameters.joint_limits is not None
+        return has_limits == bool(self._stops) and locks.issuperset(parameters.lockable_joints)
+
+    def change(self, parameters: ArmParameters) -> None:
+        """Set all numbers; `place` has to follow."""
+        self.parameters = p = parameters
+        self._field: HandField | None = None
+        self.rods, anchor = [], 0.0
+        for joint, (length, rod) in enumerate(zip(p.segment_lengths, p.rods)):
+            segment, pivot, servo = (
+                self.segments[joint]._body,
+                self._pivots[joint],
+                self.servo_handles[joint],
+            )
+            chipmunk.cpBodySetMass(segment, rod.mass)
+            chipmunk.cpBodySetMoment(segment, rod.inertia)
+            chipmunk.cpPivotJointSetAnchorA(pivot, (anchor, 0.0))
+            chipmunk.cpPivotJointSetAnchorB(pivot, (-rod.centre, 0.0))
+            chipmunk.cpConstraintSetMaxForce(servo, p.torque_limit)
+            if self._servo == "position":  # what is left of an error in 1 s
+                chipmunk.cpConstraintSetErrorBias(servo, math.exp(-p.servo_gain))
+                chipmunk.cpConstraintSetMaxBias(servo, p.speed_limit)
+            self.rods.append((segment, length, rod.centre))
+            anchor = length - rod.centre
+        for stop, (low, high) in zip(self._stops, p.joint_limits or ()):
+            chipmunk.cpRotaryLimitJointSetMin(stop, low)
+            chipmunk.cpRotaryLimitJointSetMax(stop, high)
+        for _, lock in self.locks:
+            chipmunk.cpConstraintSetMaxForce(lock._constraint, 0.0)
+        self.force_limits = [*map(chipmunk.cpConstraintGetMaxForce, self.joint_handles)]
+
+    @property
+    def has_stops_or_locks(self) -> bool:
+        """Whether a stop or a lock may hold a joint."""
+        return bool(self._stops or self.locks)
+
+    @property
+    def field(self) -> HandField:
+        """The force field on the hand, of strength 0 if there is none."""
+        if self._field is None:
+            self._field = HandField(self.parameters)
+        return self._field
 
     def _make_joint(
         self, joint: int, parent: pymunk.Body, segment: pymunk.Body
     ) -> list[pymunk.Constraint]:
-        p = self._parameters
+        p = self.parameters
         servo: pymunk.GearJoint | pymunk.SimpleMotor
         if self._servo == "position":
             servo = pymunk.GearJoint(parent, segment, 0.0, 1.0)
-            servo.error_bias = math.exp(-p.servo_gain)  # what is left of an error in 1 s
-            servo.max_bias = p.speed_limit
         else:
             servo = pymunk.SimpleMotor(parent, segment, 0.0)
-        servo.max_force = p.torque_limit
         self.servos.append(servo)
         constraints: list[pymunk.Constraint] = [servo]
         if p.joint_limits is not None:
-            stop = pymunk.RotaryLimitJoint(parent, segment, *p.joint_limits[joint])
+            stop = pymunk.RotaryLimitJoint(parent, segment, -1.0, 1.0)
             self._stops.append(stop._constraint)
             constraints.append(stop)
         if joint in p.lockable_joints:
@@ -138,15 +185,17 @@ class Linkage:
             constraints.append(lock)
         return constraints
 
-    def _add_shapes(self, space: pymunk.Space) -> None:
-        for segment, (_, length, centre) in zip(self.segments, self.rods):
+    def _add_ground(self, space: pymunk.Space) -> None:
+        """Add the body of all obstacles, and if there are any, shapes that collide."""
+        discs, radius = self.parameters.obstacles, self.parameters.segment_radius
+        for segment, (_, length, centre) in zip(self.segments, self.rods if discs else ()):
             ends = (-centre, 0.0), (length - centre, 0.0)
-            shape = pymunk.Segment(segment, *ends, self._parameters.segment_radius)
+            shape = pymunk.Segment(segment, *ends, radius)
             shape.filter = pymunk.ShapeFilter(group=1)  # no collisions within a group
             space.add(shape)
         ground = pymunk.Body(body_type=pymunk.Body.STATIC)
         space.add(ground)
-        for x, y, radius in self._parameters.obstacles:
+        for x, y, radius in discs:
             space.add(pymunk.Circle(ground, radius, (x, y)))
 
     def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -174,6 +223,8 @@ class Linkage:
             return
         self.locked = True
         for joint, lock in self.locks:
+            if joint not in self.parameters.lockable_joints:  # another arm's, before `change`
+                continue
             chipmunk.cpGearJointSetPhase(lock._constraint, joint_angles[joint])
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
 
@@ -188,7 +239,7 @@ class Linkage:
         for joint in self.joint_handles:
             chipmunk.cpSpaceAddConstraint(target._space, joint)
 
-    def yields(self, substep: float) -> list[float]:
+    def yields(self) -> list[float]:
         """Return 1 for each joint that yields to a push, and 0 for each joint that is held.
 
         A joint yields if its servo gave its largest torque in the last physics step, and neither a
@@ -197,7 +248,8 @@ class Linkage:
         give, most = chipmunk.cpConstraintGetImpulse, chipmunk.cpConstraintGetMaxForce
         held = {joint for joint, stop in enumerate(self._stops) if give(stop) > 0}
         if self.locked:
-            held |= {joint for joint, _ in self.locks}
+            held |= set(self.parameters.lockable_joints)
+        substep = self.parameters.substep
         return [
             float(joint not in held and give(servo) >= FULL * most(servo) * substep)
             for joint, servo in enumerate(self.servo_handles)
@@ -207,10 +259,15 @@ class Linkage:
 def make_space(parameters: ArmParameters) -> pymunk.Space:
     """Return an empty Space with gravity and solver settings for these arms."""
     space = pymunk.Space()
+    space.collision_slop = 0.02  # with Chipmunk's 0.1, segments rest deep in obstacles
+    change_space(space, parameters)
+    return space
+
+
+def change_space(space: pymunk.Space, parameters: ArmParameters) -> None:
+    """Set gravity and solver settings for these arms."""
     space.gravity = parameters.gravity
     space.iterations = solver_iterations(parameters)
-    space.collision_slop = 0.02  # with Chipmunk's 0.1, segments rest deep in obstacles
-    return space
 
 
 def forget_impulses(space: pymunk.Space, linkages: Sequence[Linkage], substep: float) -> None:
@@ -256,19 +313,27 @@ class HandField:
     """
 
     def __init__(self, parameters: ArmParameters) -> None:
-        """Prepare for arms with these parameters; `force_field` must not be None."""
+        """Prepare for arms with these parameters; without a `force_field`, one of strength 0."""
         count, lengths = len(parameters.segment_lengths), np.array(parameters.segment_lengths)
         masses, centres, inertias = np.array(parameters.rods).T
-        self._half = parameters.substep / 2 * np.array(parameters.force_field)
-        self._substep = parameters.substep
-        self._fall = parameters.substep * np.array(parameters.gravity)
+        self._half = parameters.substep / 2 * np.array(parameters.force_field or np.zeros((2, 2)))
+        self._substep = np.array([[parameters.substep]])
+        self._fall = parameters.substep * np.array([parameters.gravity])
         # Row j: how far the centre of rod j moves along each segment.
         self._levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(centres)
         self._weighted = self._levers.T * masses
         self._products, self._inertias = self._weighted @ self._levers, np.diag(inertias)
-        self._lengths, self._reach = lengths[:, None], lengths[-1] - centres[-1]
+        self._lengths, self._reach = lengths[:, None], (lengths - centres)[-1:]
         # A joint turns all segments from its own on.
         self._turned, self._same = np.tril(np.ones((count, count))), np.eye(count)
+
+    @classmethod
+    def of(cls, fields: Sequence[HandField]) -> HandField:
+        """Return the field of several arms, each with its own."""
+        several = cls.__new__(cls)
+        for name in vars(fields[0]):
+            setattr(several, name, np.stack([getattr(one, name) for one in fields]))
+        return several
 
     def impulses(self, motion: Floats, yields: Floats) -> Floats:
         """Return the impulse (x, y) on the hand, and its moment about the last segment's centre.
@@ -302,5 +367,5 @@ class HandField:
             held = self._same * (1 - yields)[..., None, :]
             changes = turned @ np.linalg.solve(back @ masses @ turned + held, back @ right)
             push = push + self._half @ (jacobian.swapaxes(-1, -2) @ changes)
-        moment = self._reach * (across[..., -1:, :] @ push)
+        moment = self._reach[..., None] * (across[..., -1:, :] @ push)
         return np.concatenate([push, moment], axis=-2)[..., 0]
