@@ -279,7 +279,7 @@ def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
         "actions, observations and rewards. [MMCReachGoal-v0](goal.md) is the same arm with goals",
         "in its observations, for hindsight replay (HER). A *task* says where the target is, a",
         "*perturbation* what goes wrong. Together they have one name, with any strength:",
-        "`[<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]`.",
+        "`[<task>+]<perturbation>[-<strength>][-at-<s>][-over-<s>][-known][+<perturbation>…]`.",
         "",
         *code("python", "import mmc_gym", "", 'env = mmc_gym.make("centre-out+rotation-30")'),
         f"The films show {AGENTS_IN_WORDS}, from left to right. The cross is the target, the thin",

@@ -166,7 +166,8 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     task_name = found.task.name if isinstance(found, Scenario) else type(task).__name__
     yield "task", f"{task_name}: {_about(task)}"
     for one in found.changes:
-        yield "perturbation", f"{one.perturbation}: {_about(one.perturbation)}"
+        kinds = dict.fromkeys((one.untimed, one.perturbation))
+        yield "perturbation", f"{one.perturbation}: {' '.join(map(_about, kinds))}"
     for heading, delay in (("delay", setup.delay), ("delay of sight", setup.vision_delay)):
         if delay:
             late = 1000 * delay * setup.given_body.control_step

@@ -2,12 +2,14 @@
 
 One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
 
-    [<task>+]<perturbation>[-<strength>][-known][+<perturbation>…]
+    [<task>+]<perturbation>[-<strength>][-at-<s>][-over-<s>][-known][+<perturbation>…]
 
     random, centre-out, rotation-30, centre-out+rotation-30, longer-35-known+delay-160
+    rotation-40+rotation--80-at-1, gain-1.4-over-2
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
-`force-field-60`).  With `-known`, agents are given the changed body.  Without a task it is
+`force-field-60`).  With `-at-1` it begins 1 s after the start, with `-over-2` it grows for 2 s from
+no change to its strength.  With `-known`, agents are given the changed body.  Without a task it is
 "random": an agent's episodes differ from those of `random` in the perturbations alone, because the
 same seeds draw the same starts and targets.
 
@@ -30,7 +32,9 @@ import numpy as np
 from mmc_gym._errors import UserError, nearest, require, unknown
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
+    CursorGain,
     CursorJump,
+    CursorMirror,
     ErrorClamp,
     ForceField,
     Gravity,
@@ -41,6 +45,7 @@ from mmc_gym.envs.perturbations import (
     Perturbation,
     SegmentLength,
     SensoryDelay,
+    Timed,
     VisionDelay,
     VisionNoise,
     VisuomotorRotation,
@@ -129,13 +134,31 @@ class Change:
 
     @property
     def suffix(self) -> str:
-        """The last part of the name: "-known", if agents are given the change and might not be."""
-        return "-known" if self.family and self.family.known and self.known else ""
+        """The last part of the name: when it begins, or "-known" if agents may not be given it."""
+        timing = "".join(f"-{word}-{_digits(seconds)}" for word, seconds in self._timing)
+        return timing + ("-known" if self._is_given else "")
+
+    @property
+    def _timing(self) -> list[tuple[str, float]]:
+        """When it begins and how long it grows, s, each where it is not 0."""
+        one = self.perturbation
+        timing = [("at", one.at), ("over", one.over)] if isinstance(one, Timed) else []
+        return [(word, seconds) for word, seconds in timing if seconds]
+
+    @property
+    def _is_given(self) -> bool:
+        return bool(self.family and self.family.known and self.known)
 
     @property
     def known(self) -> bool:
         """Whether agents are given the changed body."""
         return self.perturbation.known
+
+    @property
+    def untimed(self) -> Perturbation:
+        """The perturbation at its full strength, whenever that is."""
+        one = self.perturbation
+        return one.perturbation if isinstance(one, Timed) else one
 
     @property
     def unit(self) -> str:
@@ -150,7 +173,9 @@ class Change:
         text = self.family.description.format(_digits(self.strength))
         if self.family.known:
             text += ", given to agents" if self.known else ", not given to agents"
-        return text
+        words = {"at": "from {} s on", "over": "growing over {} s"}
+        timing = (words[word].format(_digits(seconds)) for word, seconds in self._timing)
+        return ", ".join([text, *timing])
 
     def with_strength(self, strength: float) -> Change:
         """Return the same perturbation with another strength.
@@ -160,7 +185,16 @@ class Change:
         """
         if self.family is None:
             raise UserError(f"the perturbation {self.name} has no family, and so no strength")
-        return self.family.with_strength(strength, bool(self.suffix))
+        return self.family.with_strength(strength, self._is_given).timed(**dict(self._timing))
+
+    def timed(self, at: float = 0.0, over: float = 0.0) -> Change:
+        """Return it as it begins `at` s after the start, and grows for `over` s; see `Timed`."""
+        if not at and not over:
+            return self
+        try:
+            return replace(self, perturbation=Timed(self.perturbation, at, over))
+        except UserError as error:
+            raise UserError(f"{self.name} cannot begin or grow like this: {error}") from error
 
 
 def _digits(strength: float) -> str:
@@ -170,7 +204,10 @@ def _digits(strength: float) -> str:
 
 # Parsing
 
-_CHANGE = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<known>-known)?")
+_CHANGE = re.compile(
+    r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?"
+    r"(?:-at-(?P<at>\d+(?:\.\d+)?))?(?:-over-(?P<over>\d+(?:\.\d+)?))?(?P<known>-known)?"
+)
 
 
 def parse_parts(name: object) -> tuple[TaskEntry, tuple[Change, ...]]:
@@ -190,13 +227,16 @@ def parse_change(name: object, argument: str = "perturbations") -> Change:
     'last segment 35 % longer, given to agents'
     >>> parse_change("rotation-30").with_strength(0.125).name
     'rotation-0.125'
+    >>> parse_change("rotation--80-at-1").perturbation.at
+    1.0
     """
     match = _CHANGE.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
         raise _unknown(name, argument)
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
-    return family.with_strength(strength, known=match["known"] is not None)
+    change = family.with_strength(strength, known=match["known"] is not None)
+    return change.timed(float(match["at"] or 0), float(match["over"] or 0))
 
 
 def parse_task(name: object) -> TaskEntry:
@@ -240,7 +280,7 @@ def _unknown(name: object, argument: str) -> UserError:
 
 def _guess(name: str, known: list[str]) -> str:
     """Return the nearest name that is accepted, with the strength that was given; "" without."""
-    word, *rest = re.split("(-(?:-?[0-9].*|known))$", name)
+    word, *rest = re.split("(-(?:-?[0-9].*|at-.*|over-.*|known))$", name)
     guess = nearest(word, known)
     meant = guess + "".join(rest)
     return meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
@@ -299,6 +339,8 @@ def _obstacles(count: float) -> Obstacles:
 _FAMILIES = (  # name, unit, description, default, make
     Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
     Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
+    Family("gain", "times", "cursor {} times as far as the hand", 1.4, CursorGain),
+    Family("mirror", "° of the axis", "cursor mirrored at an axis of {}°", 90.0, CursorMirror),
     Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
     Family(
         "cursor-jump", "% of the way", "cursor jumps across the way by {} % of it", 10.0, CursorJump
@@ -450,7 +492,7 @@ def register_perturbation(family: Family) -> None:
     """
     require(isinstance(family, Family), "family", family, "a Family")
     fine = family.name not in {*TASKS, *_SHIPPED}
-    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
+    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*(?<!-at|-over)", family.name) is not None
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
     family.with_strength(family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family

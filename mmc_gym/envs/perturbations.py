@@ -2,8 +2,8 @@
 
 Each is a frozen dataclass of physical parameters.  They can be combined.  Some change the body
 (`change_body`), whose parameters are checked then; a visuomotor rotation moves the cursor that
-stands for the hand; noise and delay change observations, not rewards.  Lengths are in segment
-lengths.
+stands for the hand; noise and delay change observations, not rewards.  `Timed` ones begin or grow
+within an episode.  Lengths are in segment lengths.
 
 `mmc_gym.envs.names` gives them names, with any strength.
 """
@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import reduce
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from mmc_gym._errors import (
     is_point,
     is_whole,
     nearest,
+    require,
     require_between,
     require_finite,
     require_number,
@@ -50,6 +52,16 @@ class Perturbation:
     """Something that goes wrong; this base class changes nothing."""
 
     known: bool = False  # whether agents are given the changed body
+    #: values of fields with which it changes nothing; without any it cannot be `Timed`
+    neutral: ClassVar[Mapping[str, float]] = {}
+
+    def grown(self, share: Any) -> Self:
+        """Return it at a share of its strength, from 0 to 1: a number, or an array of n arms."""
+        grown = object.__new__(type(self))  # its numbers may become arrays, and are checked already
+        vars(grown).update(vars(self))
+        for name, none in self.neutral.items():
+            vars(grown)[name] = none + share * (getattr(self, name) - none)
+        return grown
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """Return the arm under this perturbation."""
@@ -187,6 +199,8 @@ class Cursor(Perturbation, ABC):
     #: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or the base
     #: if they begin anywhere.
     centre: Point | None
+    keeps_distance: ClassVar[bool] = False  #: whether it is as far from the centre as the hand
+    shown: Any = 1.0  # by the `neutral` of one that cannot grow: 1 from when it begins, 0 before
 
     @abstractmethod
     def cursor(self, x: Any, y: Any, target: Place) -> Place:
@@ -197,8 +211,15 @@ class Cursor(Perturbation, ABC):
         return x, y
 
     def farthest(self, reach: float) -> float:
-        """Return a distance from the base that the cursor never exceeds."""
-        return 3 * reach
+        """Return a distance from the base that the cursor never exceeds, grown or not."""
+        return 3 * max(reach, math.hypot(*(self.centre or (0.0, 0.0))))
+
+    def _if_shown(self, cursor: Place, hand: Place) -> Place:
+        """Return the cursor, or the hand as long as the cursor has not begun."""
+        if isinstance(self.shown, float):
+            return cursor if self.shown else hand
+        x, y = (np.where(self.shown, one, other) for one, other in zip(cursor, hand, strict=True))
+        return x, y
 
 
 @spelt
@@ -213,6 +234,8 @@ class VisuomotorRotation(Cursor):
     #: as of every cursor.  A turn about the base leaves all targets in reach; one about another
     #: point may take fixed targets near the border out of reach.
     centre: Point | None = None
+    neutral = {"degrees": 0.0}
+    keeps_distance = True
 
     def __post_init__(self) -> None:
         require_finite("degrees", self.degrees)
@@ -221,18 +244,83 @@ class VisuomotorRotation(Cursor):
 
     @override
     def cursor(self, x: Any, y: Any, target: Place | None = None) -> Place:
-        cos, sin = _turn(self.degrees)
+        return self._turned(x, y, self.degrees)
+
+    @override
+    def hand(self, x: Any, y: Any) -> Place:
+        return self._turned(x, y, -self.degrees)
+
+    def _turned(self, x: Any, y: Any, degrees: Any) -> Place:
+        cos, sin = _turn(degrees)
         centre = self.centre or (0.0, 0.0)
         x, y = x - centre[0], y - centre[1]
         return centre[0] + cos * x - sin * y, centre[1] + sin * x + cos * y
 
     @override
+    def farthest(self, reach: float) -> float:
+        half = math.radians(min(abs(self.degrees), 180.0) / 2)
+        return reach + 2 * math.sin(half) * math.hypot(*(self.centre or (0.0, 0.0)))
+
+
+@spelt
+@dataclass(frozen=True)
+class CursorGain(Cursor):
+    """The cursor is so many times as far from the centre as the hand.
+
+    After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who also changed the gain.
+    """
+
+    factor: float = 1.4  #: distance of the cursor over that of the hand
+    centre: Point | None = None
+    neutral = {"factor": 1.0}
+
+    def __post_init__(self) -> None:
+        require_positive("factor", self.factor)
+
+    @override
+    def cursor(self, x: Any, y: Any, target: Place) -> Place:
+        centre = self.centre or (0.0, 0.0)
+        return centre[0] + self.factor * (x - centre[0]), centre[1] + self.factor * (y - centre[1])
+
+    @override
     def hand(self, x: Any, y: Any) -> Place:
-        return replace(self, degrees=-self.degrees).cursor(x, y)
+        centre = self.centre or (0.0, 0.0)
+        return centre[0] + (x - centre[0]) / self.factor, centre[1] + (y - centre[1]) / self.factor
 
     @override
     def farthest(self, reach: float) -> float:
-        return reach + math.hypot(*self.cursor(0.0, 0.0))
+        away = math.hypot(*(self.centre or (0.0, 0.0)))
+        return max(reach, self.factor * reach + abs(1 - self.factor) * away)
+
+
+@spelt
+@dataclass(frozen=True)
+class CursorMirror(Cursor):
+    """The cursor is the mirror image of the hand, on the other side of an axis.
+
+    After Telgen, Parvin & Diedrichsen (2014), J. Neurosci. 34:13768, who swapped left and right.
+    """
+
+    degrees: float = 90.0  #: direction of the axis, which goes through the centre
+    centre: Point | None = None
+    neutral = {"shown": 0.0}
+    keeps_distance = True
+
+    def __post_init__(self) -> None:
+        require_finite("degrees", self.degrees)
+
+    @override
+    def cursor(self, x: Any, y: Any, target: Place | None = None) -> Place:
+        cos, sin = _turn(self.degrees)
+        centre = self.centre or (0.0, 0.0)
+        x_away, y_away = x - centre[0], y - centre[1]
+        along, across = cos * x_away + sin * y_away, cos * y_away - sin * x_away
+        image = cos * along + sin * across, sin * along - cos * across
+        return self._if_shown((centre[0] + image[0], centre[1] + image[1]), (x, y))
+
+    @override
+    def hand(self, x: Any, y: Any) -> Place:
+        return self.cursor(x, y)
 
 
 @spelt
@@ -246,6 +334,8 @@ class ErrorClamp(Cursor):
     #: from the direction of the target to that of the cursor, counter-clockwise
     degrees: float = 15.0
     centre: Point | None = None
+    neutral = {"shown": 0.0}
+    keeps_distance = True
 
     def __post_init__(self) -> None:
         require_finite("degrees", self.degrees)
@@ -257,7 +347,8 @@ class ErrorClamp(Cursor):
         along, across, _ = _direction(centre, target)
         _, _, away = _direction(centre, (x, y))
         turned = cos * along - sin * across, sin * along + cos * across
-        return centre[0] + away * turned[0], centre[1] + away * turned[1]
+        clamped = centre[0] + away * turned[0], centre[1] + away * turned[1]
+        return self._if_shown(clamped, (x, y))
 
 
 @spelt
@@ -271,6 +362,7 @@ class CursorJump(Cursor):
     percent: float = 10.0  #: of the way from the centre to the target; positive to the left
     share: float = 0.25  #: of the way that the hand has made when the cursor jumps
     centre: Point | None = None
+    neutral = {"percent": 0.0}
 
     def __post_init__(self) -> None:
         require_number("percent", self.percent, "at most 100", lambda jump: abs(jump) <= 100)
@@ -285,7 +377,41 @@ class CursorJump(Cursor):
         return x - jump * across, y + jump * along
 
 
-def _turn(degrees: float) -> tuple[float, float]:
+@dataclass(frozen=True)
+class Cursors(Cursor):
+    """Several cursors in one: each moves what the one before shows."""
+
+    parts: tuple[Cursor, ...]
+
+    @property
+    def centre(self) -> Point | None:  # type: ignore[override]
+        """The centre of all parts, or None."""
+        centres = {part.centre for part in self.parts}
+        return centres.pop() if len(centres) == 1 else None
+
+    @property
+    def keeps_distance(self) -> bool:  # type: ignore[override]
+        """Whether all parts are as far from their centres as what they move."""
+        return all(part.keeps_distance for part in self.parts)
+
+    @override
+    def cursor(self, x: Any, y: Any, target: Place) -> Place:
+        return reduce(lambda place, part: part.cursor(*place, target), self.parts, (x, y))
+
+    @override
+    def hand(self, x: Any, y: Any) -> Place:
+        return reduce(lambda place, part: part.hand(*place), reversed(self.parts), (x, y))
+
+    @override
+    def farthest(self, reach: float) -> float:
+        return reduce(lambda farthest, part: part.farthest(farthest), self.parts, reach)
+
+
+def _turn(degrees: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of an angle or an array of angles, to the same bits."""
+    if isinstance(degrees, np.ndarray):  # numpy's cosine may differ; few angles do
+        angles, places = np.unique(degrees, return_inverse=True)
+        return tuple(np.array([*map(_turn, angles.tolist())])[places].T)
     return math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
 
 
@@ -309,6 +435,7 @@ class JointNoise(Noise):
     #: standard deviation of the angles, rad; that of the velocities is 10 / s times as large
     std: float = 0.02
     speed_std: float = 0.0  #: increase of `std` with the joint's speed, s
+    neutral = {"std": 0.0, "speed_std": 0.0}
     _RATE: ClassVar[float] = 10.0  # 1/s
 
     def __post_init__(self) -> None:
@@ -317,7 +444,7 @@ class JointNoise(Noise):
     @override
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
         angles, speeds = seen.joint_angles, seen.joint_speeds
-        std = self.std + self.speed_std * np.abs(speeds)
+        std = (self.std + self.speed_std * np.abs(speeds.T)).T  # `std` may be an array of n arms
         of_angles, of_speeds = np.split(draw(2 * angles.shape[-1]), 2, axis=-1)
         return replace(
             seen,
@@ -334,6 +461,7 @@ class VisionNoise(Noise):
     std: float = 0.03  #: standard deviation, segment lengths
     #: increase of `std` with the distance of hand and target (Weber's law)
     distance_std: float = 0.0
+    neutral = {"std": 0.0, "distance_std": 0.0}
 
     def __post_init__(self) -> None:
         require_between(0, LARGEST_SIZE, std=self.std, distance_std=self.distance_std)
@@ -350,6 +478,7 @@ class Delay(Perturbation):
     """Senses are late; until the delay is over, they show the start."""
 
     seconds: float = 0.1  #: the delay, at most 1,000, rounded to control steps; several add
+    neutral = {"seconds": 0.0}
 
     def __post_init__(self) -> None:
         require_between(0, LONGEST, seconds=self.seconds)
@@ -373,6 +502,55 @@ class VisionDelay(Delay):
     Until the delay is over, hand and target are seen where they were at the start.  People also see
     later than they feel (Crevecoeur, Munoz & Scott 2016, J. Neurosci. 36:8598).
     """
+
+
+@spelt
+@dataclass(frozen=True)
+class Timed(Perturbation):
+    """A perturbation begins at a time of the episode, and may grow from then on.
+
+    It grows linearly, from no change to its strength.  Targets are in reach all the time.  People
+    correct for a change within the movement (Crevecoeur, Thonnard & Lefèvre 2020, eNeuro 7).
+    """
+
+    perturbation: Perturbation
+    at: float = 0.0  #: when it begins, s after the start, rounded to control steps
+    over: float = 0.0  #: how long it grows, s, likewise; 0: it has its strength at once
+
+    def __post_init__(self) -> None:
+        require_between(0, LONGEST, at=self.at, over=self.over)
+        neutral = getattr(self.perturbation, "neutral", {})
+        accepted = "one that can begin within an episode (cursors, noise, delays)"
+        require(bool(neutral), "perturbation", self.perturbation, accepted)
+        accepted = f"0, as a {type(self.perturbation).__name__} cannot grow"
+        require(self.over == 0 or "shown" not in neutral, "over", self.over, accepted)
+
+    @override
+    def check_hooks(self) -> None:
+        self.perturbation.check_hooks()
+
+    def share(self, steps: Any, control_step: float) -> Any:
+        """Return the share of its strength after some control steps, (...)."""
+        since, rise = steps - round(self.at / control_step), round(self.over / control_step)
+        return np.clip((since + (rise == 0)) / max(rise, 1), 0.0, 1.0)
+
+    def moments(self, control_step: float) -> list[int]:
+        """Return numbers of control steps at which it changes, at most 102, in order."""
+        at, rise = round(self.at / control_step), round(self.over / control_step)
+        return [
+            at - 1,
+            *np.linspace(at, at + rise, min(rise, 100) + 1).round().astype(int).tolist(),
+        ]
+
+
+def timed_parts(
+    perturbations: Sequence[Perturbation], steps: Any, control_step: float
+) -> list[Perturbation]:
+    """Return the perturbations as they are after some control steps, arrays (n,) of n arms."""
+    return [
+        one.perturbation.grown(one.share(steps, control_step)) if isinstance(one, Timed) else one
+        for one in perturbations
+    ]
 
 
 def _index(name: str, index: int, count: int) -> int:

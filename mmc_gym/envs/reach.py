@@ -138,7 +138,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._action_shape = setup.action_space.shape
         self.observation_space = setup.observation_space
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
-        self._has_events = setup.path_length > 1 or bool(setup.lock_step)
+        self._has_events = setup.path_length > 1 or bool(setup.lock_step) or setup.is_timed
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
@@ -260,6 +260,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._arm.reset(posture)
         self._speeds = [0.0] * len(posture)
         self._steps = self._place_on_path = 0
+        self._now = self.setup.disturbance(0) if self.setup.is_timed else self.setup.full
         self._targets, self._target = targets, targets[0]
         self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
         if self.setup.lock_step == 0:
@@ -283,6 +284,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _advance_events(self) -> None:
         """Move the target along its path and lock joints, after a step."""
         self._steps += 1
+        if self.setup.is_timed:
+            self._now = self.setup.disturbance(self._steps)
         if self._steps == self.setup.lock_step:
             self._arm.lock()
         task, last = self.setup.task, len(self._targets) - 1
@@ -297,7 +300,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _look_and_reward(self) -> tuple[Any, float, Info]:
         """Return observation, reward and info of the present state; store its joint speeds."""
         arm, setup, target = self._arm, self.setup, self._target
-        hand = arm.end_effector if setup.cursor is None else self._seen_hand()
+        cursor = self._now.cursor
+        hand = arm.end_effector if cursor is None else self._seen_hand()
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
         distance = _distance(hand, target)
         is_success = distance <= setup.success_distance and self._is_last_target
@@ -305,20 +309,21 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._speeds = speeds
         info["end_effector"] = np.array(arm.end_effector)
         info["target"] = np.array(target)
-        if setup.cursor is not None:
+        if cursor is not None:
             info["cursor"] = np.array(hand)
         if setup.noises or setup.vision_delay:
-            self._sights.append((hand, target))  # as many as the delay: the first is of the start
-            hand, target = self._sights[0]
+            sights = self._sights
+            sights.append((hand, target))  # at first fewer than the delay: the first is the start
+            hand, target = sights[max(len(sights) - 1 - self._now.vision_delay, 0)]
             state = arm.joint_angles, target, arm.joint_velocities, hand
             true = Seen(*(np.array([each]) for each in state))
-            return setup.observe(true, [self.np_random])[0], reward, info
+            return setup.observe(true, self._now.noises, [self.np_random])[0], reward, info
         seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
         return seen, reward, info
 
     def _seen_hand(self) -> Point:
         """Return the position of the hand, or of the cursor that stands for it."""
-        cursor, hand = self.setup.cursor, self._arm.end_effector
+        cursor, hand = self._now.cursor, self._arm.end_effector
         return hand if cursor is None else cursor.cursor(*hand, self._target)
 
     def _delayed(self, observation: Any) -> Any:
@@ -326,7 +331,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if not self.setup.are_senses_disturbed:
             return observation
         self._late.append(observation)
-        return self._late[0].copy()
+        return self._late[-1 - self._now.delay].copy()
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.

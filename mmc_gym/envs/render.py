@@ -337,8 +337,9 @@ class Renderer:
     def _paint_target(self, scene: Scene, hand: Point) -> None:
         """Paint cursor and target: a ring of the success radius, and a second when reached."""
         canvas, setup, (x, y) = self._canvas, self._setup, scene.target
-        cursor = hand if setup.cursor is None else setup.cursor.cursor(*hand, (x, y))
-        if setup.cursor is not None:
+        seen = setup.disturbance(scene.steps).cursor
+        cursor = hand if seen is None else seen.cursor(*hand, (x, y))
+        if seen is not None:
             canvas.line(CURSOR, (hand, cursor), 1.8)
             canvas.hollow_diamond(CURSOR, cursor, 9.5)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance

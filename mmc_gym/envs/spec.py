@@ -32,11 +32,15 @@ from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Cursor,
+    Cursors,
     Delay,
     LockedJoint,
     Noise,
+    Perturbation,
     SensoryDelay,
+    Timed,
     VisionDelay,
+    timed_parts,
 )
 from mmc_gym.envs.tasks import RandomTarget, Request, Trial
 from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, shared_ring
@@ -61,6 +65,15 @@ class RewardSettings(NamedTuple):
     precision_weight: float
     smoothness_weight: float
     is_sparse: bool
+
+
+class Disturbance(NamedTuple):
+    """What disturbs the senses at a time; numbers in it may be arrays (n,) of n arms."""
+
+    cursor: Cursor | None  #: that stands for the hand
+    noises: list[Noise]  #: of senses
+    delay: Any  #: of all senses, control steps
+    vision_delay: Any  #: of sight, besides `delay`, control steps
 
 
 class State(NamedTuple):
@@ -97,8 +110,9 @@ class ReachSetup:
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task, *(one.name for one in changes)])
         self.unperturbed = arguments.arm  #: the arm of the arguments
-        self._disturb_senses(changes)
         self._change_arm(changes)
+        self._disturb_senses(changes)
+        self._find_workspace()
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
@@ -119,24 +133,49 @@ class ReachSetup:
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
 
     def _disturb_senses(self, changes: Sequence[Change]) -> None:
-        """Collect noise and delays of the senses."""
-        self.noises = [one for one in self.perturbations if isinstance(one, Noise)]  #: of senses
-        self.delay = self._delay(changes, SensoryDelay)  #: of all senses, control steps
-        self.vision_delay = self._delay(changes, VisionDelay)  #: of sight, besides `delay`
-        self.are_senses_disturbed = bool(self.noises or self.delay)
-
-    def _delay(self, changes: Sequence[Change], kind: type[Delay]) -> int:
-        """Return the sum of the delays of one kind, control steps."""
+        """Find out what disturbs the senses with all perturbations at their full strength."""
+        self._parts = [self._placed(one) for one in self.perturbations]
+        timed = [one for one in self.perturbations if isinstance(one, Timed)]
         step = self.unperturbed.control_step
-        late = [one for one in changes if isinstance(one.perturbation, kind)]
-        seconds = sum(one.perturbation.seconds for one in late)  # type: ignore[attr-defined]
-        if seconds and round(seconds / step) == 0:
-            name = late[0].family.name if late[0].family else "delay"
-            raise UserError(
-                f"{late[0].name} would delay nothing: delays are whole control steps of "
-                f"{1000 * step:g} ms, such as {name}-{1000 * step:g} or {name}-{2000 * step:g}"
-            )
-        return round(seconds / step)
+        self.is_timed = bool(timed)  #: whether perturbations begin or grow within an episode
+        #: control steps of an episode between which no timed one changes much, in order
+        self.moments = np.unique([count for one in timed for count in one.moments(step)] or [0])
+        self.full = self.disturbance(int(self.moments[-1]))  #: in the end
+        self.cursor, self.noises = self.full.cursor, self.full.noises
+        self.delay, self.vision_delay = self.full.delay, self.full.vision_delay
+        self.are_senses_disturbed = bool(self.noises or self.delay)
+        for kind, total in ((SensoryDelay, self.delay), (VisionDelay, self.vision_delay)):
+            late = [one for one in changes if isinstance(one.untimed, kind) and one.untimed.seconds]
+            if late and not total:
+                name = late[0].family.name if late[0].family else "delay"
+                raise UserError(
+                    f"{late[0].name} would delay nothing: delays are whole control steps of "
+                    f"{1000 * step:g} ms, such as {name}-{1000 * step:g} or {name}-{2000 * step:g}"
+                )
+
+    def disturbance(self, steps: Any) -> Disturbance:
+        """Return what disturbs the senses after so many control steps: a number, or (n,)."""
+        control_step = self.unperturbed.control_step
+        parts = timed_parts(self._parts, steps, control_step)
+
+        def delay(kind: type[Delay]) -> Any:
+            seconds = sum(one.seconds for one in parts if isinstance(one, kind))
+            late = np.rint(np.divide(seconds, control_step)).astype(int)
+            return late if late.ndim else int(late)
+
+        noises = [one for one in parts if isinstance(one, Noise)]
+        cursors = [one for one in parts if isinstance(one, Cursor)]
+        cursor = Cursors(tuple(cursors)) if len(cursors) > 1 else next(iter(cursors), None)
+        return Disturbance(cursor, noises, delay(SensoryDelay), delay(VisionDelay))
+
+    def _placed(self, one: Perturbation) -> Perturbation:
+        """Return a perturbation; a cursor with its centre."""
+        if isinstance(one, Timed):
+            return replace(one, perturbation=self._placed(one.perturbation))
+        if not isinstance(one, Cursor) or one.centre is not None:
+            return one
+        (x, y), (_, outer) = self.task.start or (0.0, 0.0), shared_ring(self.body, self.given_body)
+        return replace(one, centre=(x * outer, y * outer))  # type: ignore[type-var]
 
     def _change_arm(self, changes: Sequence[Change]) -> None:
         """Apply the perturbations to the arm, and find where hand and target can be."""
@@ -151,33 +190,26 @@ class ReachSetup:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         #: control steps after which joints lock, or None
         self.lock_step = round(times.pop() / self.unperturbed.control_step) if times else None
+
+    def _find_workspace(self) -> None:
+        """Find where hand and target can be, all the time."""
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
-        self.cursor = self._cursor()  #: that stands for the hand, or None
+        at_all_times = self.disturbance(self.moments).cursor if self.is_timed else None
         #: where hand and target can be
-        self.workspace = Workspace(self.body, self.given_body, locked, self.cursor)
+        self.workspace = Workspace(self.body, self.given_body, locked, self.cursor, at_all_times)
         reach = sum(self.body.segment_lengths)
         #: distance from the base that the hand, or its cursor, never exceeds
         self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
-    def _cursor(self) -> Cursor | None:
-        """Return the perturbation that shows a cursor, if there is one, with its centre."""
-        cursors = [one for one in self.perturbations if isinstance(one, Cursor)]
-        accepted = "a list with at most one rotation or other cursor"
-        require(len(cursors) <= 1, "perturbations", cursors, accepted)
-        if not cursors:
-            return None
-        (x, y), (_, outer) = self.task.start or (0.0, 0.0), shared_ring(self.body, self.given_body)
-        centre = cursors[0].centre or (x * outer, y * outer)
-        cursor: Cursor = replace(cursors[0], centre=centre)  # type: ignore[type-var]
-        return cursor
-
-    def observe(self, seen: Seen, randoms: Sequence[np.random.Generator]) -> NDArray[np.float32]:
+    def observe(
+        self, seen: Seen, noises: Sequence[Noise], randoms: Sequence[np.random.Generator]
+    ) -> NDArray[np.float32]:
         """Return observations of n arms, (n, …), with noise from the generator of each."""
 
         def draw(count: int) -> NDArray[np.float64]:
             return np.stack([random.standard_normal(count) for random in randoms])
 
-        for noise in self.noises:
+        for noise in noises:
             seen = noise.disturb(seen, draw)
             name = f"what {type(noise).__name__}.disturb returns"
             require(isinstance(seen, Seen), name, seen, "a changed Seen")

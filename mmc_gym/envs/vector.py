@@ -26,7 +26,14 @@ from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
-from mmc_gym.envs.spec import GoalSetup, Options, ReachEnvironment, ReachSetup, State
+from mmc_gym.envs.spec import (
+    Disturbance,
+    GoalSetup,
+    Options,
+    ReachEnvironment,
+    ReachSetup,
+    State,
+)
 from mmc_gym.envs.workspace import distances
 from mmc_gym.interface import Seen, relative_speeds
 
@@ -104,6 +111,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             and setup.task.advance == "time"
             and setup.cursor is None
             and not setup.vision_delay
+            and not setup.is_timed
         )
 
     def reset(
@@ -246,10 +254,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _restart(self, infos: Info, over: Bools) -> Info:
         """Restart the arms whose episodes are over; add how they ended to the infos (SAME_STEP)."""
-        arms = np.flatnonzero(over)
+        arms, shown = np.flatnonzero(over), self._arrived()
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in arms:
-            final_observations[arm] = deepcopy(pick(self._late[0], arm))
+            final_observations[arm] = deepcopy(pick(shown, arm))
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: infos[name][arms] for name in names}, over)
         self._place(arms, Options())
@@ -314,11 +322,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             return observation
         targets = self._targets[arms]
         if self.setup.vision_delay:
-            hands, targets = self._sights[0, arms].swapaxes(0, 1)
+            late = self._now(arms).vision_delay
+            hands, targets = self._sights[-1 - late, self._all[arms]].swapaxes(0, 1)
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
         true = Seen(angles, targets, velocities, hands)
         randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
-        return self.setup.observe(true, randoms)
+        return self.setup.observe(true, self._now(arms).noises, randoms)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Tell which arms have their last target: only reaching that one is a success."""
@@ -327,16 +336,34 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return np.asarray(self._places[arms] == self._last_places[arms])
 
     def _shown(self) -> Any:
+        """Return what `step` shows."""
+        arrived = self._arrived()
+        return deepcopy(arrived) if self._copy else arrived
+
+    def _arrived(self) -> Any:
         """Return the observation that has arrived."""
-        return deepcopy(self._late[0]) if self._copy else self._late[0]
+        late = self._now(_EVERY).delay
+        if isinstance(late, np.ndarray):
+            shown = deepcopy(self._late[-1])
+            for steps in np.unique(late[late > 0]).tolist():
+                arms = np.flatnonzero(late == steps)
+                put(shown, arms, pick(self._late[-1 - steps], arms))
+            return shown
+        return self._late[0]
 
     def _seen_hands(self, arms: Indices | slice) -> Floats:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
-        if self.setup.cursor is None:
+        cursor = self._now(arms).cursor
+        if cursor is None:
             return hands
         (x, y), targets = hands.T, self._targets[arms].T
-        return np.stack(self.setup.cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
+        return np.stack(cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
+
+    def _now(self, arms: Indices | slice) -> Disturbance:
+        """Return what disturbs the senses of these arms."""
+        is_timed, setup = self.setup.is_timed, self.setup
+        return setup.disturbance(self._steps[arms]) if is_timed else setup.full
 
     def _sight(self, arms: Indices | slice) -> Floats:
         """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""

@@ -33,6 +33,10 @@ class ShownHand(Protocol):
 
     centre: Point | None
 
+    @property
+    def keeps_distance(self) -> bool:
+        """Whether it is as far from the centre as the hand."""
+
     def cursor(self, x: Any, y: Any, target: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return where the cursor is for a hand at (x, y)."""
 
@@ -56,17 +60,19 @@ class Workspace:
         given_body: ArmParameters | None = None,
         locked: Sequence[int] = (),
         cursor: ShownHand | None = None,
+        at_all_times: ShownHand | None = None,
     ) -> None:
         """Make the workspace of `body`, in which the joints `locked` (indices) never move.
 
         Targets are reached by `given_body`, too: the arm that agents are given, by default the
-        same.  With a `cursor`, that one must reach a target in place of the hand.
+        same.  With a `cursor`, that one must reach a target in place of the hand; if it changes
+        within an episode, `at_all_times`, whose numbers are arrays over times.
 
         Raises:
             UserError: if there is nothing that both can reach.
         """
         self.body, self.given_body = body, given_body or body
-        self.locked, self.cursor = tuple(locked), cursor
+        self.locked, self.cursor, self._at_all_times = tuple(locked), cursor, at_all_times
         self.inner, self.outer = shared_ring(self.body, self.given_body)
         if self.inner > self.outer * (1 + REACH_TOLERANCE):
             raise self._no_target()
@@ -81,10 +87,17 @@ class Workspace:
         None ignores locks.
         """
         x, y = point
+        if self._at_all_times is not None:
+            hands = np.broadcast_arrays(*self._at_all_times.hand(x, y))
+            return all(self._can_be((x, y), hand, posture) for hand in zip(*map(np.ravel, hands)))
         hand = (x, y) if self.cursor is None else self.cursor.hand(x, y)
+        return self._can_be((x, y), hand, posture)
+
+    def _can_be(self, point: Point, hand: Point, posture: Sequence[float] | None) -> bool:
+        """Tell whether a target can be at a point, and the hand at another; see `contains`."""
         radius = self.body.segment_radius
         is_free = all(math.dist(hand, disc[:2]) > disc[2] + radius for disc in self.body.obstacles)
-        fine = is_free and self._is_in_ring((x, y)) and self._is_in_ring(hand)
+        fine = is_free and self._is_in_ring(point) and self._is_in_ring(hand)
         if not fine or posture is None or not self.locked:
             return fine
         base, lengths = self._rigid_pieces(posture)
@@ -119,7 +132,7 @@ class Workspace:
         """
         for _ in range(_MOST_TARGETS):
             target = self._target_of(*self._draw_hand(random, posture))
-            if self.contains(target):
+            if self.contains(target, posture if self._at_all_times else None):
                 return target
         raise self._no_target()
 
@@ -137,7 +150,8 @@ class Workspace:
         """Whether all postures are possible and reach all targets between two radii."""
         body, cursor = self.body, self.cursor
         is_free = not self.locked and not body.joint_limits and not body.obstacles
-        return is_free and (cursor is None or cursor.centre == (0.0, 0.0))
+        is_turn = cursor is None or (cursor.centre == (0.0, 0.0) and cursor.keeps_distance)
+        return is_free and is_turn
 
     def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
         """Draw joint angles, (k, N), and targets, (k, 2), from k generators; requires `is_ring`.

@@ -129,7 +129,7 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
 
 
 def _is_of_senses(change: Change) -> bool:
-    return isinstance(change.perturbation, Noise | Delay)
+    return isinstance(change.untimed, Noise | Delay)
 
 
 @_explained

@@ -1,5 +1,6 @@
 """Facts about the perturbations: what goes wrong, by how much, and what stays as it was."""
 
+import copy
 import math
 from typing import Any
 
@@ -11,7 +12,9 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import (
+    CursorGain,
     CursorJump,
+    CursorMirror,
     ErrorClamp,
     JointNoise,
     LockedJoint,
@@ -19,11 +22,13 @@ from mmc_gym.envs.perturbations import (
     Obstacles,
     Perturbation,
     SegmentLength,
+    Timed,
     VisionNoise,
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
+from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import node_positions, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.measures import run_episodes
@@ -227,6 +232,45 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation, task, 
         assert placed.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 
+def turned(z, degrees):
+    return np.exp(1j * math.radians(degrees)) * z
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),  # of a hand at z, and a share of 0.4 s
+    [
+        (["gain-1.4-over-0.4"], lambda z, share: (1 + 0.4 * share) * z),
+        (["rotation-60-over-0.4"], lambda z, share: turned(z, 60 * share)),
+        (["rotation-40", "rotation--80-at-0.4"], lambda z, s: turned(z, -40 if s == 1 else 40)),
+        (["mirror-at-0.4"], lambda z, share: -z.conjugate() if share == 1 else z),
+        (["mirror-30", "rotation-20"], lambda z, _: turned(z.conjugate(), 80)),
+    ],
+)
+def test_cursors_begin_grow_and_add_up_and_copies_continue(names, expected):
+    env, centre = MMCReachEnv(task="centre-out", perturbations=names), 1.5j
+    for seed in range(2):
+        info = env.reset(seed=seed, options={"trial": 3})[1]
+        for step, action in enumerate(rough_actions(30, seed)):
+            hand, cursor = (complex(*info[name]) for name in ("end_effector", "cursor"))
+            assert cursor - centre == pytest.approx(expected(hand - centre, min(step / 20, 1)))
+            assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
+            other = copy.deepcopy(env)
+            seen, *_, info = env.step(action)
+            assert np.array_equal(other.step(action)[0], seen)
+
+
+def test_the_target_is_in_reach_all_the_time():
+    changes = (Timed(CursorMirror(60.0, (0.5, 1.0)), at=1), Timed(CursorGain(2.0), over=1))
+    env = MMCReachEnv(perturbations=(*changes, "locked-2", "obstacles-1"))
+    for seed in range(100):
+        target, posture = env.reset(seed=seed)[1]["target"], env.arm.joint_angles
+        workspace = Workspace(env.setup.body, None, (1,))
+        for step in range(0, 101, 5):
+            cursor = env.setup.disturbance(step).cursor
+            assert cursor.cursor(*cursor.hand(*target), target) == pytest.approx(tuple(target))
+            assert workspace.contains(cursor.hand(*target), posture)
+
+
 def offsets(perturbation, trial):
     """Offsets of hand and cursor from the start, and of the target, in a centre-out trial."""
     env = MMCReachEnv(task="centre-out", perturbations=[perturbation])
@@ -322,7 +366,6 @@ def test_what_cannot_be_or_be_combined_is_refused():
         (Obstacles(((0.0, 0.0, 1.0),)), "obstacles must leave room for the arm"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach"),
         ("longer-500", "must leave targets in reach"),
-        (["clamp-15", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),

@@ -239,7 +239,8 @@ def with_number(name, value):
     if isinstance(name, str):
         return {name: SHAPES.get(name, float)(value)}
     cls, field = name
-    return {"perturbations": [cls(**{field: value})]}
+    changed = (perturbations.CursorGain(),) if cls is perturbations.Timed else ()
+    return {"perturbations": [cls(*changed, **{field: value})]}
 
 
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])

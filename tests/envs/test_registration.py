@@ -26,6 +26,8 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.envs import names, scenarios
 from mmc_gym.envs.names import FAMILIES, TASKS, TaskEntry, environment_id, register_all
 from mmc_gym.envs.perturbations import (
+    CursorGain,
+    CursorMirror,
     ForceField,
     Gravity,
     JointNoise,
@@ -33,6 +35,7 @@ from mmc_gym.envs.perturbations import (
     Obstacles,
     SegmentLength,
     SensoryDelay,
+    Timed,
     VisionNoise,
     VisuomotorRotation,
 )
@@ -75,6 +78,9 @@ DISC = (1.5, 1.0, 0.25)
         ("vision-noise-distance", "vision-noise-distance-0.05", VisionNoise(0.0, 0.05)),
         ("obstacles-1", "obstacles-1", Obstacles((DISC,))),
         ("rotation-1000000", "rotation-1000000", VisuomotorRotation(1e6)),
+        ("mirror", "mirror-90", CursorMirror(90.0)),
+        ("gain-over-2.50", "gain-1.4-over-2.5", Timed(CursorGain(1.4), over=2.5)),
+        ("delay-40-at-1-over-2", "delay-40-at-1-over-2", Timed(SensoryDelay(0.04), 1.0, 2.0)),
     ],
 )
 def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturbation):
@@ -98,6 +104,15 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
         ("obstacles-5", "number of obstacles"),
         ("delay--40", "delay--40 has no such strength"),
         (f"locked-1{400 * '0'}", "locked-inf has no such strength"),
+        (
+            "locks-at-1",
+            "locks-2 cannot begin or grow like this: .* one that can begin within an ep",
+        ),
+        (
+            "mirror-over-1",
+            "mirror-90 cannot begin .* over must be 0, as a CursorMirror cannot grow",
+        ),
+        ("delay-at-2000", "delay-100 cannot begin .* at must be from 0 to 1000"),
         ("shorter-100", "shorter-100 has no such strength"),
         (None, "scenario None is not accepted"),
     ],
@@ -113,6 +128,7 @@ def test_a_wrong_name_is_refused(name, hint):
         ("rotation-3x", "rotation"),  # never the word that is refused
         ("rotatoin-3x", "rotation"),
         ("rotatoin--3", "rotation--3"),
+        ("rotatoin-3-at-1", "rotation-3-at-1"),
         ("delay-", "delay"),
         ("Longer-35-known", "longer-35-known"),
         ("centreout+delay-40", "centre-out"),
@@ -181,7 +197,7 @@ def test_an_environment_is_no_name_of_one():
     [
         ("locked-7", "locked-3", "locked-7 is not possible for this arm: .* joint 7 from the base"),
         ("delay-5", "delay-20", "delay-5 would delay nothing: .* of 20 ms, such as delay-20"),
-        ("pursuit+obstacles-2+rotation-30+rotation-3", "rotation-3", "at most one rotation"),
+        ("pursuit+obstacles-2+longer-500", "longer-20", "must leave targets in reach"),
     ],
 )
 def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint, tmp_path):

@@ -53,6 +53,17 @@ VARIANTS = {
         "perturbations": ("vision-delay-60", "vision-noise", "delay-40", "rotation-30"),
     },
     "obstacles": {"perturbations": ("obstacles",)},
+    "begins and grows": {
+        "task": TASKS["pursuit"].task,
+        "perturbations": ("rotation-40", "rotation--80-at-0.1", "mirror-at-0.2", "gain-2-over-0.2"),
+    },
+    "senses get worse": {
+        "perturbations": (
+            "joint-noise-over-0.2",
+            "delay-60-at-0.06-over-0.1",
+            "vision-delay-40-at-0.1",
+        ),
+    },
     "all at once": {
         "task": "double-step-200",
         "perturbations": ("force-field", AROUND_A_POINT, "locks", "vision-noise", "delay-100"),

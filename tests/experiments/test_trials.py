@@ -236,7 +236,6 @@ def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Pat
     ("names", "gradual", "env_kwargs", "message"),
     [
         ("delay-40", True, {}, "'b' of .* would delay nothing"),
-        (("rotation-30", "clamp-0"), False, {}, "at most one rotation"),
         ((), False, {"perturbations": ["rotation-90"]}, "perturbations must be left out"),
         ((), False, {"max_episode_steps": 9}, "max_episode_steps must be left out"),
     ],
