@@ -7,6 +7,7 @@ in the literature, positive to the left.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +32,7 @@ def initial_direction(paths: ArrayLike, targets: ArrayLike, *, steps: int | None
     Source: Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20, 8916–8924.
     """
     hand, aim = _early(paths, targets, steps)
-    turns = np.degrees(np.arctan2(_cross(aim, hand), (aim * hand).sum(axis=-1)))
-    return np.asarray(np.where(aim.any(axis=-1), turns, math.nan))
+    return _angle_between(aim, hand)
 
 
 def lateral_deviation(paths: ArrayLike, targets: ArrayLike) -> Floats:
@@ -50,8 +50,84 @@ def movement_onset(paths: ArrayLike) -> NDArray[np.int64]:
 
     0 for a hand that never moves.
     """
-    steps = np.linalg.norm(np.diff(np.asarray(paths, dtype=np.float64), axis=-2), axis=-1)
+    steps = _steps(np.asarray(paths, dtype=np.float64))
     return np.argmax(steps >= ONSET * steps.max(axis=-1, keepdims=True), axis=-1)
+
+
+def describe_movements(
+    hands: ArrayLike,
+    cursors: ArrayLike,
+    targets: ArrayLike,
+    *,
+    go_steps: ArrayLike,
+    control_step: float,
+    early: float,
+    tolerance: float,
+) -> dict[str, NDArray[Any]]:
+    """Return the dependent variables of movements by name, (...) each; NaN for a hand at rest.
+
+    - hand_angle and cursor_error: direction of hand and cursor at the hand's peak speed, less that
+      of the target, degrees; early_hand_angle: the hand's, `early` seconds after onset.
+    - reaction_time: from the go cue to onset, where the speed is 5 % of its peak; movement_time:
+      from there until it is less again, after the peak; seconds.
+    - peak_speed: segment lengths a second.
+    - largest_deviation: of the hand from the line from start to target, to the left; segment
+      lengths.
+    - end_error: distance of cursor and target at the end, segment lengths; success: whether it is
+      within `tolerance`.
+
+    Args:
+        hands: (..., time, 2), segment lengths.
+        cursors: likewise; the hand's where there is none.
+        targets: likewise; directions are measured to the first one after the go cue.
+        go_steps: when the go cue is, control steps after the start, (...).
+        control_step: seconds.
+        early: seconds.
+        tolerance: segment lengths.
+    """
+    hand, cursor, target = (np.asarray(one, np.float64) for one in (hands, cursors, targets))
+    steps, go = _steps(hand), np.asarray(go_steps)[..., None]
+    steps = np.where(np.arange(steps.shape[-1]) >= go, steps, 0.0)
+    peak, fastest = steps.max(axis=-1), np.argmax(steps, axis=-1)
+    moves, last = peak > 0, steps.shape[-1]
+    onset = np.argmax(steps >= ONSET * peak[..., None], axis=-1)
+    slow = (steps < ONSET * peak[..., None]) & (np.arange(last) > fastest[..., None])
+    end = np.where(slow.any(axis=-1), np.argmax(slow, axis=-1), last)
+    aimed = np.minimum(go + 1, last)[..., None]
+    aim = np.take_along_axis(target, aimed, axis=-2)[..., 0, :]
+    later = np.minimum(onset + round(early / control_step), last)
+
+    def direction(path: Floats, at: NDArray[np.int64]) -> Floats:
+        found = np.take_along_axis(path, at[..., None, None], axis=-2)[..., 0, :]
+        return _angle_between(aim - path[..., 0, :], found - path[..., 0, :])
+
+    way = aim - hand[..., 0, :]
+    left = _cross(way[..., None, :], hand - hand[..., :1, :])
+    farthest = np.take_along_axis(left, np.argmax(np.abs(left), axis=-1)[..., None], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        deviation = farthest[..., 0] / np.linalg.norm(way, axis=-1)
+    end_error = np.linalg.norm(cursor[..., -1, :] - target[..., -1, :], axis=-1)
+    found = {
+        "hand_angle": direction(hand, fastest + 1),
+        "early_hand_angle": direction(hand, later),
+        "cursor_error": direction(cursor, fastest + 1),
+        "reaction_time": (onset - go[..., 0]) * control_step,
+        "movement_time": (end - onset) * control_step,
+        "peak_speed": peak / control_step,
+        "largest_deviation": deviation,
+    }
+    found = {name: np.where(moves, values, math.nan) for name, values in found.items()}
+    return {**found, "end_error": end_error, "success": end_error <= tolerance}
+
+
+def _steps(paths: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(np.diff(paths, axis=-2), axis=-1))
+
+
+def _angle_between(aim: Floats, hand: Floats) -> Floats:
+    """Return the direction of the hand less that of the aim, degrees; NaN without an aim."""
+    turns = np.degrees(np.arctan2(_cross(aim, hand), (aim * hand).sum(axis=-1)))
+    return np.asarray(np.where(aim.any(axis=-1), turns, math.nan))
 
 
 def _early(paths: ArrayLike, targets: ArrayLike, after: int | None) -> tuple[Floats, Floats]:
@@ -62,7 +138,7 @@ def _early(paths: ArrayLike, targets: ArrayLike, after: int | None) -> tuple[Flo
     hands = np.asarray(paths, dtype=np.float64)
     if hands.shape[-2] < 2:  # it never moves
         hands = np.full((*hands.shape[:-2], 2, 2), math.nan)
-    steps = np.linalg.norm(np.diff(hands, axis=-2), axis=-1)
+    steps = _steps(hands)
     at = np.argmax(steps, axis=-1) + 1
     if after is not None:
         at = np.minimum(movement_onset(hands) + after, hands.shape[-2] - 1)

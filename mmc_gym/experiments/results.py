@@ -55,8 +55,9 @@ class ExperimentResult:
     #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
     #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (see
     #: `PlannedTrial`), probe (empty for usual trials), target_angle (degrees), start_x, start_y (of
-    #: the hand), go_step (control step of the go cue), and how the agent went through: rate and
-    #: retention (of its states, separated by commas; empty without), keeps_all
+    #: the hand), go_step (control step of the go cue); how the agent went through: rate and
+    #: retention (of its states, separated by commas; empty without), keeps_all, noise, seed and
+    #: version (of mmc-gym); and the movement, see `describe_movements`
     trials: pd.DataFrame
     hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
     cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none

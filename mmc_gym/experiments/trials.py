@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, cast
@@ -40,12 +41,14 @@ from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
+from mmc_gym.experiments.adaptation import BEFORE_FEEDBACK
 from mmc_gym.experiments.experiment import Condition, Experiment, find_experiment
+from mmc_gym.experiments.learning import describe_movements
 from mmc_gym.experiments.results import ExperimentResult
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
-RECORDING = 3
+RECORDING = 4
 """Version of recordings; when it changes, all cells are played again."""
 
 _SUBJECTS = 20  # in a cell, at most
@@ -60,6 +63,7 @@ class Player(NamedTuple):
     agent: Any  #: an `Agent`, or your own object with `predict`
     control: str  #: its control mode
     control_step: float  #: s
+    tolerance: float  #: of success, segment lengths
     has_parts: bool  #: whether rate and retention are its own; yours stay as you made them
 
 
@@ -110,12 +114,13 @@ class TrialsCell:
         scenario, entry = self.experiment.scenario(**self.arguments), self.agent.entry
         made, agent = make_player(self.agent, scenario)
         with closing(made):
-            control, arm = (read_attribute(made, name) for name in ("control", "parameters"))
+            facts = ("control", "parameters", "success_distance")
+            control, arm, tolerance = (read_attribute(made, name) for name in facts)
             has_parts = entry is not None and isinstance(agent, BodyAgent)
             if entry is not None and isinstance(agent, BodyAgent):
                 parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
                 agent = entry.build(agent.interface, parts=parts)
-        return Player(agent, control, arm.control_step, has_parts)
+        return Player(agent, control, arm.control_step, tolerance, has_parts)
 
     def environment(self, player: Player, condition: Condition, arms: int) -> Any:
         """Make the environment of trials of a condition, with several arms for an `Agent`."""
@@ -217,7 +222,13 @@ class _Session:
         subjects, trials = self.shape
         starts = self.paths["hands"][:, :, 0].reshape(-1, 2)
         shares = {name: self.cell.parts.get(name, ()) for name in ("rate", "retention")}
-        same = {name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares}
+        same: dict[str, Any] = {
+            **{name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares},
+            "keeps_all": self.cell.keeps_all,
+            "noise": "+".join(one.name for one in self.cell.experiment.noise),
+            "seed": self.cell.seed,
+            "version": version("mmc-gym"),
+        }
         return {
             "agent": [self.cell.agent.label] * len(starts),
             "subject": np.repeat(np.array(self.cell.subjects), trials),
@@ -226,7 +237,6 @@ class _Session:
             "start_x": starts[:, 0],
             "start_y": starts[:, 1],
             **{name: [one] * len(starts) for name, one in same.items()},
-            "keeps_all": [self.cell.keeps_all] * len(starts),
             **{name: _lists(values) for name, values in self.paths.items()},
         }
 
@@ -242,7 +252,7 @@ def run_cell(cell: TrialsCell) -> bytes:
         session.play_in_turn(player.agent, subjects)
     else:
         session.play_by_condition(player.agent)
-    facts = {"control_step": player.control_step}
+    facts = {"control_step": player.control_step, "tolerance": player.tolerance}
     return to_parquet(session.columns(player.control_step), Kept(cell.settings, facts))
 
 
@@ -387,11 +397,18 @@ def _result(cells: Sequence[_Cell]) -> ExperimentResult:
     """Return the result that some cells of one experiment hold."""
     tables, kept = zip(*cells, strict=True)
     table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
-    flat = {name: table[name].combine_chunks().flatten().to_numpy() for name in _PATHS}
+    paths = {
+        name: table[name].combine_chunks().flatten().to_numpy().reshape(len(table), -1, 2)
+        for name in _PATHS
+    }
+    trials = table.drop_columns(list(_PATHS)).to_pandas()
+    described = describe_movements(
+        **paths, go_steps=trials["go_step"], early=BEFORE_FEEDBACK, **kept[0].facts
+    )
     return ExperimentResult(
         experiment=Experiment(**kept[0].settings["experiment"]),
-        trials=table.drop_columns(list(_PATHS)).to_pandas(),
-        **{name: values.reshape(len(table), -1, 2) for name, values in flat.items()},
+        trials=trials.assign(**described),
+        **paths,
         control_step=kept[0].facts["control_step"],
     )
 

@@ -10,6 +10,7 @@ from mmc_gym.experiments.fits import TWO_STATES
 from mmc_gym.experiments.learning import (
     correction_gain,
     correction_latency,
+    describe_movements,
     initial_direction,
     lateral_deviation,
 )
@@ -34,6 +35,28 @@ def test_direction_and_deviation_are_positive_to_the_left(turn, start):
     assert initial_direction(path, target) == pytest.approx(turn)
     at_peak = 0.5 * BELL[26, 0]
     assert lateral_deviation(path, target) == pytest.approx(at_peak * np.sin(np.radians(turn)))
+
+
+@pytest.mark.parametrize("go_step", [0, 10])
+def test_a_movement_that_is_known_is_described(go_step):
+    wait = np.zeros((go_step + 4, 1))
+    along = np.r_[wait, 0.6 * BELL, np.full((10, 1), 0.6)]
+    turned = [np.cos(np.radians(100)), np.sin(np.radians(100))]
+    bulge = 0.05 * np.sin(np.pi * along / 0.6) * [-1.0, 0.0]
+    hands = along * [0.0, 1.0] + bulge
+    targets = np.tile([0.0, 0.6], (len(along), 1))
+    settings = {"go_steps": go_step, "control_step": STEP, "early": 0.1, "tolerance": 0.05}
+    found = describe_movements(hands, along * turned, targets, **settings)
+    assert found["hand_angle"] == pytest.approx(np.degrees(np.arctan2(0.05, 0.3)), abs=0.5)
+    assert found["cursor_error"] == pytest.approx(10.0)
+    assert found["largest_deviation"] == pytest.approx(0.05, rel=1e-2)
+    assert found["reaction_time"] == pytest.approx(4 * STEP, abs=3.1 * STEP)
+    assert found["movement_time"] == pytest.approx(51 * STEP, rel=0.15)
+    assert found["peak_speed"] == pytest.approx(0.6 * 1.875 / (51 * STEP), rel=0.05)
+    assert found["end_error"] == pytest.approx(2 * 0.6 * np.sin(np.radians(5)))
+    assert not found["success"]
+    still = describe_movements(0 * hands, 0 * hands, targets, **settings)
+    assert np.isnan([still[name] for name in [*found][:7]]).all() and still["end_error"] == 0.6
 
 
 @pytest.mark.parametrize("late", [3, 6, 12])
