@@ -26,7 +26,7 @@ from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_written, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
-from mmc_gym._files import import_modules, read_yaml
+from mmc_gym._files import import_modules, read_yaml, read_yaml_file
 from mmc_gym._grid import CellError
 from mmc_gym._tables import print_table, text_table
 
@@ -255,6 +255,7 @@ def adapt(
     keep: Names = (),
     rate: Shares = (0.2,),
     retention: Shares = (0.98,),
+    learners: OtherPlace = None,
     subjects: Number = 20,
     seed: Number = 0,
     lengths_in: Unit = "lengths",
@@ -269,7 +270,8 @@ def adapt(
         agents: The agents, see compare.
         keep: Agents that keep their whole memory, such as ppo-memory.
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
-        retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
+        retention: Share of a state that is left at the next trial.
+        learners: YAML file of what differs for some agents, such as "slow: {rate: 0.05}".
         subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
         lengths_in: Of segments, or metres of a person's arm.
@@ -289,6 +291,7 @@ def adapt(
             out,
             rate=rate,
             retention=retention,
+            learners=None if learners is None else read_yaml_file(learners),
             keep=keep,
             jobs=jobs,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),

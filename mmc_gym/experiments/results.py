@@ -7,7 +7,7 @@ mean over the drawn subjects, and a measure is one of that curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -55,9 +55,10 @@ class ExperimentResult:
     #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
     #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (see
     #: `PlannedTrial`), probe (empty for usual trials), target_angle (degrees), start_x, start_y (of
-    #: the hand), go_step (control step of the go cue); how the agent went through: rate and
-    #: retention (of its states, separated by commas; empty without), keeps_all, noise, seed and
-    #: version (of mmc-gym); and the movement, see `describe_movements`
+    #: the hand), go_step (control step of the go cue); how the agent went through: rate,
+    #: retention and the other `LEARNED` of the subject (several states after commas; empty
+    #: without), keeps_all, noise, seed and version (of mmc-gym); and the movement, see
+    #: `describe_movements`
     trials: pd.DataFrame
     hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
     cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
@@ -74,9 +75,12 @@ class ExperimentResult:
     def settings(self) -> dict[str, str]:
         """The rate and retention of each agent that has them, and which keep all, in words."""
         found = {}
-        for row in self.trials.drop_duplicates("agent").to_dict("records"):
-            texts = [f"{name} {row[name]}" for name in ("rate", "retention") if row[name]]
-            found[row["agent"]] = ", ".join(texts + ["keeps all"] * row["keeps_all"])
+        for agent, own in self.trials.groupby("agent", sort=False):
+            each = {name: own[name].unique().tolist() for name in ("rate", "retention", "width")}
+            if own["width"].iloc[0] == "inf":  # in all directions, as by default
+                each.pop("width")
+            texts = [f"{name} {_span(values)}" for name, values in each.items() if values[0]]
+            found[str(agent)] = ", ".join(texts + ["keeps all"] * bool(own["keeps_all"].iloc[0]))
         return found
 
     def movements_of(self, agent: str) -> Movements:
@@ -112,6 +116,11 @@ class ExperimentResult:
     def __repr__(self) -> str:
         agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
         return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
+
+
+def _span(values: Sequence[str]) -> str:
+    """Return one setting of all subjects, or between which they differ."""
+    return values[0] if len(values) == 1 else f"{min(values)} to {max(values)}"
 
 
 def learning_table(

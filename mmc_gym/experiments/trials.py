@@ -31,12 +31,12 @@ import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, require_choice, require_whole, shown
+from mmc_gym._errors import UserError, require, require_choice, require_whole, shown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
-from mmc_gym.agents.body_model.parts import Parts
+from mmc_gym.agents.body_model.parts import LEARNED, Parts
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
@@ -51,6 +51,7 @@ from mmc_gym.measures.rollout import run_trial
 RECORDING = 4
 """Version of recordings; when it changes, all cells are played again."""
 
+_SPREAD = 1  # of the seeds that subjects are drawn with
 _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
 _PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # of an `Episode`
@@ -64,7 +65,7 @@ class Player(NamedTuple):
     control: str  #: its control mode
     control_step: float  #: s
     tolerance: float  #: of success, segment lengths
-    has_parts: bool  #: whether rate and retention are its own; yours stay as you made them
+    has_parts: bool  #: whether it learns as `parts` say; yours stay as you made them
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class TrialsCell:
     subjects: range
     seed: int = 0
     keeps_all: bool = False
-    parts: Mapping[str, Any] = field(default_factory=dict)  #: rate and retention, if it has them
+    parts: Mapping[str, Any] = field(default_factory=dict)  #: how it learns, if it has `Parts`
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -104,6 +105,12 @@ class TrialsCell:
         return found
 
     @property
+    def learners(self) -> list[Parts]:
+        """The parts of each subject, whose rate and retention may differ."""
+        of, parts = self.subjects, Parts(**self.parts)
+        return [parts.drawn(np.random.default_rng((self.seed, one, _SPREAD))) for one in of]
+
+    @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of all its environments."""
         limit = self.experiment.torque_limit
@@ -119,7 +126,7 @@ class TrialsCell:
             has_parts = entry is not None and isinstance(agent, BodyAgent)
             if entry is not None and isinstance(agent, BodyAgent):
                 parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
-                agent = entry.build(agent.interface, parts=parts)
+                agent = entry.build(agent.interface, parts=parts, subjects=self.learners)
         return Player(agent, control, arm.control_step, tolerance, has_parts)
 
     def environment(self, player: Player, condition: Condition, arms: int) -> Any:
@@ -221,9 +228,9 @@ class _Session:
         table["go_step"] = [round(one.go_cue / control_step) for one in conditions]
         subjects, trials = self.shape
         starts = self.paths["hands"][:, :, 0].reshape(-1, 2)
-        shares = {name: self.cell.parts.get(name, ()) for name in ("rate", "retention")}
+        learners = self.cell.learners if self.cell.parts else [None] * subjects
+        own = {name: [_text(one, name) for one in learners] for name in LEARNED}
         same: dict[str, Any] = {
-            **{name: ", ".join(f"{one:g}" for one in shares[name]) for name in shares},
             "keeps_all": self.cell.keeps_all,
             "noise": "+".join(one.name for one in self.cell.experiment.noise),
             "seed": self.cell.seed,
@@ -236,6 +243,7 @@ class _Session:
             "target_angle": np.ravel(self.angles),
             "start_x": starts[:, 0],
             "start_y": starts[:, 1],
+            **{name: np.repeat(values, trials) for name, values in own.items()},
             **{name: [one] * len(starts) for name, one in same.items()},
             **{name: _lists(values) for name, values in self.paths.items()},
         }
@@ -272,6 +280,12 @@ def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
         yield cell if player.has_parts else replace(cell, parts={})
 
 
+def _text(parts: Parts | None, name: str) -> str:
+    """Return a setting of a learner for the table, numbers of several states after commas."""
+    value = () if parts is None else getattr(parts, name)
+    return ", ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
+
+
 def _lists(paths: NDArray[np.float32]) -> pa.Array:
     """Return paths (subjects, trials, steps + 1, 2) as a column of lists."""
     size = paths[0, 0].size
@@ -288,6 +302,7 @@ def run_experiment(
     *,
     rate: float | Sequence[float] = 0.2,
     retention: float | Sequence[float] = 0.98,
+    learners: Mapping[str, Mapping[str, Any]] | None = None,
     keep: Sequence[str] = (),
     jobs: int | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
@@ -304,7 +319,10 @@ def run_experiment(
         out: folder that keeps what was played; None keeps nothing.
         rate: of `mmc-body` and `ik-body`: share of what a movement shows that is learned; several
             for several states, as a fast and a slow one.  1 learns all within the movement.
-        retention: of these: share of what is learned that lasts to the next trial; 0 keeps nothing.
+        retention: of these: share of a state that is left at the next trial.
+        learners: what differs from these for some agents, by label: `rate`, `retention`, their
+            spread between subjects, `width` and `largest_error`, see
+            `mmc_gym.agents.body_model.parts.Parts`.  `{"slow": {"rate": 0.05}}`.
         keep: labels of agents whose whole state lasts from trial to trial, in place of what their
             `between_trials` keeps.
         jobs: how many cells are played at once, see `run_grid`.
@@ -324,8 +342,14 @@ def run_experiment(
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])
     folder = None if out is None else check_folder(out, "out") / TRIALS
-    shares: Any = [one if np.iterable(one) else (one,) for one in (rate, retention)]
-    parts = Parts(rate=shares[0], retention=shares[1])  # checks them, and makes them floats
+    shared = {"rate": rate, "retention": retention}
+    accepted = "a mapping of agents to mappings, such as {'slow': {'rate': 0.05}}"
+    named = {} if learners is None else learners
+    is_fine = isinstance(named, Mapping) and all(isinstance(one, Mapping) for one in named.values())
+    require(is_fine, "learners", learners, accepted)
+    own = {label: {**shared, **each} for label, each in named.items()}
+    for label in own:
+        require_choice("learners", label, [agent.label for agent in found])
     whole = [
         TrialsCell(
             agent=agent,
@@ -333,7 +357,7 @@ def run_experiment(
             subjects=range(subjects),
             seed=seed,
             keeps_all=agent.label in keep,
-            parts={"rate": parts.rate, "retention": parts.retention},
+            parts=_checked_parts(own.get(agent.label, shared)),
             env_kwargs=given,
         )
         for agent in found
@@ -345,6 +369,16 @@ def run_experiment(
             write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
     cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
     return _result([read_table(one) for one in _played(cells, folder, jobs, on_progress)])
+
+
+def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what an agent learns with, all of `LEARNED`; raise a `UserError` for a wrong one."""
+    for name in given:
+        require_choice("learners", name, LEARNED)
+    shares = {name: one if np.iterable(one) else (one,) for name, one in given.items()}
+    alone = {name: given[name] for name in LEARNED[2:] if name in given}
+    parts = Parts(**{**shares, **alone})
+    return {name: getattr(parts, name) for name in LEARNED}
 
 
 def _played(

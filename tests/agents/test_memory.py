@@ -40,7 +40,8 @@ def test_a_turned_cursor_is_learned_and_forgotten_at_the_given_rates(build, rate
         error = (30.0 if trial < 6 else 0.0) - states.sum()
         expected.append(-(states.sum() + sum(rate) * error))
         rest = 2.0 if trial == 5 else 0.0
-        states = np.array(retention) ** (1 + rest) * (states + np.array(rate) * error)
+        learned = np.array(retention) * states + np.array(rate) * error
+        states = np.array(retention) ** rest * learned
     np.testing.assert_allclose(ends, expected, atol=1.0)
 
 

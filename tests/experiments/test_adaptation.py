@@ -50,6 +50,7 @@ def played(turn, subjects=6, family="rotation", known_as=""):
             "target_angle": angles.ravel(),
             "rate": "",
             "retention": "",
+            "width": "",
             "keeps_all": False,
         }
     )

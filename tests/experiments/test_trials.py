@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -258,3 +259,25 @@ def test_an_experiment_without_any_measure_is_printed_and_reported(tmp_path: Pat
     result.write(tmp_path)
     for kind in ("html", "md"):
         assert "ik-dls" in write_report(tmp_path, tmp_path / "report", format=kind).read_text()
+
+
+def test_agents_of_one_run_may_learn_differently_and_subjects_too(tmp_path: Path) -> None:
+    agents = {"slow": "mmc-body", "alike": "mmc-body", "differ": "mmc-body"}
+    learners = {"slow": {"rate": 0.05}, "differ": {"rate_spread": 0.3, "retention_spread": 0.01}}
+    how = {"rate": 0.3, "learners": learners, "jobs": 1}
+    result = run_experiment(SHORT, agents, 3, out=tmp_path, **how)
+    rates = {name: [*of["rate"].unique()] for name, of in result.trials.groupby("agent")}
+    assert rates["slow"] == ["0.05"] and rates["alike"] == ["0.3"] and len(rates["differ"]) == 3
+    fewer = run_experiment(SHORT, agents, 2, **how).trials
+    same = result.trials[result.trials["subject"] < 2].reset_index(drop=True)
+    pd.testing.assert_frame_equal(fewer, same)  # a subject does not depend on how many there are
+    again = read_experiments(tmp_path)[0].settings["differ"]
+    assert again.startswith("rate 0.") and " to 0." in again
+    for wrong, named in (
+        ({"fast": {}}, "fast"),
+        ({"slow": {"speed": 1}}, "speed"),
+        ({"slow": 3}, "mapping"),
+        ({"slow": {"rate_spread": -1}}, "rate_spread"),
+    ):
+        with pytest.raises(UserError, match=named):
+            run_experiment(SHORT, agents, 1, jobs=1, learners=wrong)

@@ -16,6 +16,7 @@ can be switched off (`Parts`), for ablations.  Perturbations are not given.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -66,10 +67,19 @@ class BodyState(NamedTuple):
 class BodyAgent(FeedbackAgent[BodyState]):
     """An agent with an internal model of its body."""
 
-    def __init__(self, interface: ReachInterface, model: InternalModel, parts: Parts) -> None:
-        """Make the agent of an internal model.  It cannot act under torque control."""
+    def __init__(
+        self,
+        interface: ReachInterface,
+        model: InternalModel,
+        parts: Parts,
+        subjects: Sequence[Parts] = (),
+    ) -> None:
+        """Make the agent of an internal model.  It cannot act under torque control.
+
+        `subjects` have their own rate and retention, one for each arm of a batch.
+        """
         super().__init__(interface)
-        self.parts = parts
+        self.parts, self.subjects = parts, subjects
         self.imagination = Imagination(interface, model, parts.imagines)
         self.road_map = RoadMap(self.imagination)
 
@@ -85,7 +95,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             route=Route.start(joint_angles, as_points(sensed.target)),
             drive=Drive.start(arms, joints),
-            memory=Memory.start(arms, joints, self.parts),
+            memory=Memory.start(arms, joints, self.parts, self.subjects),
         )
 
     @property
@@ -277,13 +287,16 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
 
 def mmc_body(
-    interface: ReachInterface, parts: Parts = ALL_PARTS, **settings: Any
+    interface: ReachInterface,
+    parts: Parts = ALL_PARTS,
+    subjects: Sequence[Parts] = (),
+    **settings: Any,
 ) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is the MMC network, see `network_of_body`."""
     if interface.arm is not None:
         return spatial.SpatialBodyAgent(interface, spatial.settle_network, parts)
     network = network_of_body(interface, **settings)
-    return BodyAgent(interface, partial(settle_network, network), parts)
+    return BodyAgent(interface, partial(settle_network, network), parts, subjects)
 
 
 def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
@@ -301,9 +314,9 @@ def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
 
 
 def ik_body(
-    interface: ReachInterface, parts: Parts = ALL_PARTS
+    interface: ReachInterface, parts: Parts = ALL_PARTS, subjects: Sequence[Parts] = ()
 ) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is damped least squares."""
     if interface.arm is not None:
         return spatial.SpatialBodyAgent(interface, spatial.least_squares, parts)
-    return BodyAgent(interface, least_squares, parts)
+    return BodyAgent(interface, least_squares, parts, subjects)

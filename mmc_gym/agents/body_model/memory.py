@@ -31,6 +31,7 @@ correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -65,13 +66,23 @@ class Memory(NamedTuple):
     place: Points  # where it was in the last control step
     intended: Points  # w of the last command, without the correction
     drift: Points  # Σ v w̄
+    rate: Floats  # B of each state, (n, states)
+    retention: Floats  # A, likewise
 
     @classmethod
-    def start(cls, arms: int, joints: int, parts: Parts) -> Memory:
-        """Return the memory of arms that believe the given body."""
+    def start(cls, arms: int, joints: int, parts: Parts, subjects: Sequence[Parts] = ()) -> Memory:
+        """Return the memory of arms that believe the given body.
+
+        Rate and retention are those of `subjects`, one for each arm, or else of `parts`.
+        """
         directions = DIRECTIONS if math.isfinite(parts.width) else 1
         states = np.zeros((arms, len(parts.rate), directions, joints + 2))
-        return cls(states, np.zeros(arms, np.int64), *([np.zeros(arms, complex)] * 5))
+        learners = subjects if len(subjects) == arms else [parts] * arms
+        shape = arms, len(parts.rate)
+        rate = np.array([one.rate for one in learners]).reshape(shape)
+        retention = np.array([one.retention for one in learners]).reshape(shape)
+        towards, origin = np.zeros(arms, np.int64), np.zeros(arms, complex)
+        return cls(states, towards, origin, origin, origin, origin, origin, rate, retention)
 
     @property
     def belief(self) -> Floats:
@@ -104,7 +115,7 @@ class Memory(NamedTuple):
 
     def body(self, beyond: Body, given: Floats, parts: Parts) -> Body:
         """Return the body to act on: the belief, and a share of what is identified beyond it."""
-        rate = sum(parts.rate) * _share(beyond.turn, parts)
+        rate = self.rate.sum(axis=1) * _share(beyond.turn, parts)
         lengths = given + self.belief[:, :-2] + rate[:, None] * (beyond.lengths - given)
         part = np.exp(1j * rate * np.angle(beyond.turn))
         # What is identified turns about the place where the movement began, and may be shifted.
@@ -137,9 +148,9 @@ class Memory(NamedTuple):
         away = (np.arange(count) - self.towards[:, None] + count // 2) % count - count // 2
         near = np.exp(-((away * 360 / count / parts.width) ** 2) / 2)
         error = near[:, None, :, None] * error[:, None, None]
-        learned = self.states + np.array(parts.rate)[:, None, None] * error
-        forgotten = np.array(parts.retention) ** (1 + rest)
-        return self._replace(states=forgotten[:, None, None] * learned)
+        retention, rate = self.retention[..., None, None], self.rate[..., None, None]
+        learned = retention * self.states + rate * error
+        return self._replace(states=retention**rest * learned)
 
 
 def _share(turn: Points, parts: Parts) -> Floats:

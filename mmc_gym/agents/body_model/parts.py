@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
-from mmc_gym._errors import require, require_number, require_numbers, spelt
+import numpy as np
+
+from mmc_gym._errors import require, require_between, require_number, require_numbers, spelt
 
 
 @spelt
@@ -27,7 +29,12 @@ class Parts:
     #: state, such as a fast and a slow one, together at most 1.  At 1 all is learned within the
     #: movement.
     rate: tuple[float, ...] = (1.0,)
-    retention: tuple[float, ...] = (0.0,)  #: share of it kept for the next movement, of each state
+    #: share of each state that is left at the next movement; with a rate of 1 and 0 here there is
+    #: no memory
+    retention: tuple[float, ...] = (0.0,)
+    #: how subjects differ: standard deviation of the rate, as a share of it, and of the retention
+    rate_spread: float = 0.0
+    retention_spread: float = 0.0
     #: of the directions for which it is learned, about that of the target when the movement begins:
     #: standard deviation of a Gaussian, degrees
     width: float = math.inf
@@ -36,6 +43,8 @@ class Parts:
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"
         require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
+        for name in ("rate_spread", "retention_spread"):
+            require_between(0, 1, **{name: getattr(self, name)})
         for name in ("width", "largest_error"):
             require_number(name, getattr(self, name), "positive", lambda number: number > 0)
         accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
@@ -51,10 +60,21 @@ class Parts:
         """Whether anything is learned from movement to movement."""
         return any(self.retention) or sum(self.rate) < 1
 
+    def drawn(self, random: np.random.Generator) -> Parts:
+        """Return the parts of a subject, whose rate and retention are drawn about these."""
+        normal = random.standard_normal((2, len(self.rate)))
+        rate = np.clip(self.rate * (1 + self.rate_spread * normal[0]), 0, 1)
+        retention = np.clip(self.retention + self.retention_spread * normal[1], 0, 1)
+        rate /= max(1.0, rate.sum())
+        return replace(self, rate=tuple(rate.tolist()), retention=tuple(retention.tolist()))
+
 
 def _are_shares(numbers: tuple[float, ...]) -> bool:
     return len(numbers) > 0 and all(0 <= number <= 1 for number in numbers)
 
+
+LEARNED = ("rate", "retention", "rate_spread", "retention_spread", "width", "largest_error")
+"""The fields that say how it learns from movement to movement."""
 
 ALL_PARTS = Parts()
 """The parts of an agent by default."""
