@@ -34,6 +34,7 @@ class Course(NamedTuple):
     turn: float = 0.0  #: tolerance of the hand's rotation, radians
     alone: int = 0  #: iterations in which a block stops only when its first posture has settled
     near: float = 0.0  #: a first posture that lacks less, m², has all iterations alone
+    has_start: bool = False  #: whether joints turn by whole turns, as near to `start` as can be
     newton_steps: int = 0  #: steps of Newton's method that follow then
     is_exact: bool = False  #: whether they follow in all blocks
     ridge: float = 0.0  #: their least damping, m²
@@ -51,8 +52,8 @@ def block_type(joints: int, nodes: int) -> np.dtype[Any]:
     """Return the type of a block: a task, and arrays of its lanes that `iteration` names."""
     task = task_type(joints, nodes)
     shapes: dict[str, tuple[int, ...]] = {name: task[name].shape for name in task.names or ()}
-    shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled"), ())
-    shapes |= dict.fromkeys(("angle", "velocity", "pull", "leverage", "free"), (joints,))
+    shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled", "away"), ())
+    shapes |= dict.fromkeys(("angle", "velocity", "pull", "leverage", "free", "start"), (joints,))
     shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (joints, 3)}
     shapes |= {"row": (joints, joints + 1), "turn": (3, 3), "shift": (3,), "spin": (3,)}
     kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]

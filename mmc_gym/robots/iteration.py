@@ -44,6 +44,8 @@ def settle(blocks: Any, arm: Any, course: Any) -> None:
                 _newton(block, arm, course)
                 _place(block, arm)
                 _compare(block, course)
+        if course.has_start:
+            _turn_back(block)
 
 
 @inner
@@ -243,3 +245,19 @@ def _newton(block, arm, course):
             angle = np.minimum(np.maximum(free, block.low[i, k]), block.high[i, k])
             block.free[i, k] = (block.low[i, k] < block.high[i, k]) * (angle == free)
             block.angle[i, k] = angle
+
+
+@inner
+def _turn_back(block):
+    """Turn joints by whole turns, as near to `start` as limits allow; find |q − start|², `away`."""
+    turn = 2.0 * np.pi
+    block.away[:] = 0.0
+    for i in range(block.angle.shape[0]):
+        for k in range(LANES):
+            low, high, angle = block.low[i, k], block.high[i, k], block.angle[i, k]
+            count = np.floor((block.start[i, k] - angle) / turn + 0.5)
+            count = np.minimum(count, np.floor((high - angle) / turn))
+            count = np.maximum(count, np.ceil((low - angle) / turn))
+            angle = np.minimum(np.maximum(angle + turn * count, low), high)
+            block.angle[i, k] = angle
+            block.away[k] += (angle - block.start[i, k]) ** 2

@@ -68,9 +68,11 @@ HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
 POOL = 128  # postures, of which the nearest to a task are its starts
 ALONE = 30  # iterations in which only the given start may win
-NEAR_START = 0.1  # miss of a start that has all of them, shares of the arm's length
+NEAR_START = 0.3  # miss of a start that has all of them, shares of the arm's length
 LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
+LOOSE_SHARE = 5e-4  # that of position for arms of more than 2 m, shares of their length
 NEWTON_STEPS = 6
+RIDGE = 3.0  # square root of the least damping of these steps, tolerances of position
 FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
 _CHUNK = 64  # tasks in memory at once
@@ -136,7 +138,8 @@ class HingeNetwork:
     #: is faster; but 0.6, too, in `solve` for starts after the first 16.
     damping: float | None = None
     velocity_decay: float = 0.97  #: factor on the velocity in each iteration, from 0 to below 1
-    hand_size: float = 0.12  #: s, length of the vectors that stand for the hand's rotation, m
+    #: s, length of the vectors that stand for the hand's rotation, shares of the arm's length
+    hand_size: float = 0.1
 
     def __post_init__(self) -> None:
         require(isinstance(self.arm, HingeArm), "arm", self.arm, "a HingeArm")
@@ -244,14 +247,16 @@ class HingeNetwork:
 
         The starts are postures drawn within the limits, those nearest to the task first; 16 settle
         together, and the first to settle wins.  Where none does, the best is returned.  For
-        tolerances below 1 mm or 0.01 rad, and from a near `start`, steps of Newton's method follow.
+        tolerances below 1 mm or 0.01 rad, from a near `start` and in later starts, steps of
+        Newton's method follow.
 
         Args:
             position: see `clamp`, as `rotation`, `held` and `points`.
             rotation: of the hand.
             start: postures (..., n) to begin with.  Other starts win only where nothing settles
                 from there in 30 iterations, or in all `iterations` where the start is near: it
-                misses by less than a tenth of the arm.  Of the others the nearest to it wins.
+                misses by less than 0.3 of the arm.  Of the others the nearest to it wins.  Joints
+                never turn by a whole turn more than limits require.
             held: angles of joints that do not move.
             points: positions of nodes.
             starts: at most so many, `start` among them.
@@ -269,16 +274,20 @@ class HingeNetwork:
             batch = _together("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
+        loose = max(LOOSE[0], LOOSE_SHARE * self._length)
         course = self._course(
             clamps,
             iterations,
-            far=max(far, LOOSE[0]),
+            far=max(far, loose),
             turn=max(turn, LOOSE[1]),
             newton_steps=NEWTON_STEPS,
-            is_exact=far < LOOSE[0] or turn < LOOSE[1],
-            ridge=(10 * far) ** 2,
+            is_exact=far < loose or turn < LOOSE[1],
+            ridge=(RIDGE * far) ** 2,
         )
-        calm = course._replace(share=self._calm_share(clamps))
+        # Those that are left are hard, such as postures with all joints at limits.
+        calm = course._replace(
+            share=self._calm_share(clamps), newton_steps=2 * NEWTON_STEPS, is_exact=True
+        )
         pool = _pool(self.arm, max(starts, POOL), seed)
         race = _Race(course, calm, far, turn, pool, starts)
         batch, tasks = tasks.shape, tasks.reshape(-1)
@@ -300,16 +309,19 @@ class HingeNetwork:
             course = race.course if begin == 0 else race.calm
             if start is not None and begin == 0:
                 postures = np.where((lanes == 0)[:, None], start[:, None], race.pool[lanes])
-                course = course._replace(alone=ALONE, near=self._near)
+                course = course._replace(alone=ALONE, near=(NEAR_START * self._length) ** 2)
             else:
                 order = self._order(blocks, course, race.pool) if order is None else order
                 postures = race.pool[order[:, lanes - LANES * (start is not None)]]
             blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
+            if start is not None:
+                blocks["start"] = start[rows, :, None]
+                course = course._replace(has_start=True)
             self._settle(blocks, course)
 
             away = None
             if start is not None:
-                away = ((blocks["angle"] - start[rows, :, None]) ** 2).sum(axis=1)
+                away = blocks["away"].copy()
                 away[:, 0] *= begin > 0  # what settles from there wins
             found = self._found(race, blocks, away)
             found["iterations"] += ends["iterations"][rows]
@@ -365,7 +377,7 @@ class HingeNetwork:
         """Return the course of `run`, or with `more` that of `solve`."""
         is_calm = self.damping or clamps.free_joints <= FEW
         share = self._calm_share(clamps) if is_calm else 3 / clamps.free_joints
-        weight = 2 * self.hand_size**2 if clamps.has_rotation else 0.0
+        weight = 2 * (self.hand_size * self._length) ** 2 if clamps.has_rotation else 0.0
         decay = float(self.velocity_decay)
         return Course(clamps.is_placed, weight, share, decay, iterations, **more)
 
@@ -374,10 +386,10 @@ class HingeNetwork:
         return 1 / (self.damping or CALM * clamps.free_joints)
 
     @cached_property
-    def _near(self) -> float:
-        """Return the square of the distance below which a start is near."""
+    def _length(self) -> float:
+        """Return the length of the arm, m: the sum of the distances of neighbouring nodes."""
         segments = np.diff(self._zero_posture.nodes, axis=0)
-        return float((NEAR_START * np.linalg.norm(segments, axis=1).sum()) ** 2)
+        return float(np.linalg.norm(segments, axis=1).sum()) or 1.0
 
     @cached_property
     def _end_type(self) -> np.dtype[Any]:

@@ -228,6 +228,24 @@ def test_a_path_is_followed_without_a_jump(name):
         now = solution.joint_angles
 
 
+def test_no_joint_turns_by_a_whole_turn_more_than_its_limits_require():
+    arm = HingeArm.named("ur5")
+    poses, start = arm.forward(postures(arm, 50)), postures(arm, 50, seed=4)
+    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], start=start).joint_angles
+    for turned in (found - 2 * np.pi, found + 2 * np.pi):
+        is_farther = np.abs(turned - start) > np.abs(found - start) - 1e-9
+        assert (is_farther | (turned < arm.limits[:, 0]) | (turned > arm.limits[:, 1])).all()
+
+
+@pytest.mark.parametrize("by", [0.1, 50.0])
+def test_an_arm_of_any_size_finds_its_poses(by):
+    home = PANDA.home.copy()
+    home[:3, 3] *= by
+    arm = replace(PANDA, points=by * PANDA.points, home=home)
+    poses = arm.forward(postures(arm, 100))
+    assert HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3]).is_solved.all()
+
+
 def test_one_start_is_no_other():
     away = PANDA.forward(-POSTURE)[:3, 3]
     network = HingeNetwork(PANDA)
