@@ -79,6 +79,8 @@ def fill(folder):
     shutil.copy(hyperparameters, folder / "my" / "ppo-mine.yml")
     for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):
         shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
+    (robot,) = blocks((DOCS / "how-to" / "urdf.md").read_text(), "xml")
+    (folder / "arm.urdf").write_text(robot)
     run(folder, "-c", MODEL)
     for command in ("mmc-gym benchmark", "mmc-gym adapt rotation-30 --agents mmc"):
         run(folder, "-m", "mmc_gym.cli", *small(command))
