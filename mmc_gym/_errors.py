@@ -38,6 +38,10 @@ class UserError(ValueError):
     """
 
 
+class UnknownArgumentError(UserError, TypeError):
+    """An argument is not taken; a `TypeError`, too, by which other libraries try what is taken."""
+
+
 class MissingExtraError(UserError, ImportError):
     """A package of an extra is needed, and not installed."""
 
@@ -234,12 +238,13 @@ def spelt(cls: Class) -> Class:
 
 
 def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise a `UserError` for the first argument in `given` that is not in `known`."""
+    """Raise an `UnknownArgumentError` for the first one in `given` that is not in `known`."""
     known = tuple(known)
     for name in given:
         if name not in known:
             guess = _question(nearest(name, known))
-            raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
+            message = f"{what} got an unexpected keyword argument {name!r}{guess}"
+            raise UnknownArgumentError(f"{message} It takes {', '.join(known)}")
 
 
 def explain(error: ValidationError) -> str:

@@ -226,7 +226,7 @@ def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
         ({"reward_type": "golden"}, None, "reward_type 'golden' is not accepted"),
         ({"render_mode": "ansi"}, None, "render_mode 'ansi' is not accepted"),
         ({"control_weight": "a"}, None, "control_weight must be from 0"),
-        ({"n_segments": 4}, None, "takes no argument 'n_segments'"),
+        ({"n_segments": 4}, None, "unexpected keyword argument 'n_segments'"),
     ],
 )
 def test_what_the_arm_cannot_be_or_do_is_refused(arguments, options, message):

@@ -182,7 +182,7 @@ def test_help_lists_every_argument_with_its_default():
     assert list(single.parameters)[:3] == ["control", "reward_type", "control_weight"]
     assert next(iter(vector.parameters)) == "num_envs"
     assert inspect.signature(MMCReachGoalEnv).parameters["reward_type"].default == "sparse"
-    with pytest.raises(UserError, match="takes no argument 'engin'; did you mean 'engine'"):
+    with pytest.raises(TypeError, match="keyword argument 'engin'; did you mean 'engine'"):
         MMCReachEnv(engin="analytic")
 
 

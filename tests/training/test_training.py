@@ -211,7 +211,7 @@ def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
         ({"vec_env_wrapper": {RESIDUAL: {"base_agent": "ik"}}}, "base_agent must be one of"),
         ({"env_id": "MMCReach-v99"}, "env must be the id of an environment"),
         ({"env_id": "Pendulum-v1"}, "env must be a reaching environment"),
-        ({"env_kwargs": {"colour": 1}}, "takes no argument 'colour'"),
+        ({"env_kwargs": {"colour": 1}}, "unexpected keyword argument 'colour'"),
     ],
 )
 def test_mistakes_in_hyperparameters_are_named_before_training(tmp_path, changes, message):
