@@ -93,6 +93,13 @@ class SingleArm(ABC):
         """Make the `lockable_joints` rigid at their present angles, until the next reset."""
 
     @abstractmethod
+    def load(self, parameters: ArmParameters) -> None:
+        """Take on the `hand_mass` and the `force_field` of other parameters, until the next reset.
+
+        No speed changes with it.  All other parameters must be equal.
+        """
+
+    @abstractmethod
     def _build(self) -> None: ...
 
     @abstractmethod
@@ -134,7 +141,7 @@ class ArmBatch(ABC):
         self._threads = require_whole("threads", threads)
         self.parameters = p = _checked(parameters)
         self._servo: Servo = servo
-        self._differ = differ
+        self._differ, self._is_loaded = differ, False
         self._shape = self._count, len(p.segment_lengths)
         self._lockable = np.zeros(self._shape, dtype=bool)
         self._lockable[:, p.lockable_joints] = True
@@ -164,6 +171,8 @@ class ArmBatch(ABC):
         speeds = np.zeros(shape)
         if joint_velocities is not None:
             speeds = _table("joint_velocities", joint_velocities, shape)
+        if parameters is None and self._is_loaded:
+            parameters = self.parameters
         if parameters is not None:
             require(self._differ, "parameters", parameters, "left out for arms that do not differ")
             self._lockable[chosen] = False
@@ -182,6 +191,15 @@ class ArmBatch(ABC):
     def lock(self, arms: ArrayLike) -> None:
         """Make the `lockable_joints` of arms with these indices rigid, see `SingleArm.lock`."""
         self._lock(self._indices(arms))
+
+    def load(self, parameters: ArmParameters, arms: ArrayLike) -> None:
+        """Load k arms with these indices, which may differ, see `SingleArm.load`.
+
+        The next reset gives them their first parameters, unless it is given others.
+        """
+        require(self._differ, "arms", arms, "arms that may differ")
+        self._is_loaded = True
+        self._load(parameters, self._indices(arms))
 
     def close(self) -> None:
         """End the threads.  The next step starts new ones."""
@@ -208,6 +226,9 @@ class ArmBatch(ABC):
 
     @abstractmethod
     def _lock(self, arms: Indices) -> None: ...
+
+    @abstractmethod
+    def _load(self, parameters: ArmParameters, arms: Indices) -> None: ...
 
     def _indices(self, arms: ArrayLike) -> Indices:
         rows = np.asarray(arms)

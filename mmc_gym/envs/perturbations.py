@@ -88,6 +88,7 @@ class ForceField(Perturbation):
     """
 
     curl: float = 60.0  #: mass / s; positive bends to the right of the movement
+    neutral = {"curl": 0.0}
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -101,6 +102,7 @@ class HandMass(Perturbation):
     """The hand carries a point mass; several add."""
 
     mass: float = 3.0  #: segment masses; 3 is as heavy as the default arm
+    neutral = {"mass": 0.0}
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -520,10 +522,14 @@ class Timed(Perturbation):
     def __post_init__(self) -> None:
         require_between(0, LONGEST, at=self.at, over=self.over)
         neutral = getattr(self.perturbation, "neutral", {})
-        accepted = "one that can begin within an episode (cursors, noise, delays)"
+        accepted = "one that can begin within an episode (cursors, senses, loads, force fields)"
         require(bool(neutral), "perturbation", self.perturbation, accepted)
         accepted = f"0, as a {type(self.perturbation).__name__} cannot grow"
         require(self.over == 0 or "shown" not in neutral, "over", self.over, accepted)
+
+    @override
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        return self.perturbation.change_body(body)
 
     @override
     def check_hooks(self) -> None:

@@ -258,6 +258,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _place(self, posture: list[float], targets: list[Point]) -> None:
         self._arm.reset(posture)
+        if self.setup.loads:
+            self._arm.load(self.setup.body_after(0))
         self._speeds = [0.0] * len(posture)
         self._steps = self._place_on_path = 0
         self._now = self.setup.disturbance(0) if self.setup.is_timed else self.setup.full
@@ -286,6 +288,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._steps += 1
         if self.setup.is_timed:
             self._now = self.setup.disturbance(self._steps)
+        if self.setup.loads and self.setup.is_loaded_after(self._steps):
+            self._arm.load(self.setup.body_after(self._steps))
         if self._steps == self.setup.lock_step:
             self._arm.lock()
         task, last = self.setup.task, len(self._targets) - 1

@@ -27,7 +27,8 @@ from mmc_gym._errors import (
     require_numbers,
     require_rows,
 )
-from mmc_gym.body import ArmParameters
+from mmc_gym.body import ArmParameters, make_arm
+from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
@@ -111,6 +112,7 @@ class ReachSetup:
         self.caption = ", ".join([*task, *(one.name for one in changes)])
         self.unperturbed = arguments.arm  #: the arm of the arguments
         self._change_arm(changes)
+        self._check_loads(changes)
         self._disturb_senses(changes)
         self._find_workspace()
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean
@@ -152,6 +154,38 @@ class ReachSetup:
                     f"{late[0].name} would delay nothing: delays are whole control steps of "
                     f"{1000 * step:g} ms, such as {name}-{1000 * step:g} or {name}-{2000 * step:g}"
                 )
+
+    def _check_loads(self, changes: Sequence[Change]) -> None:
+        """Find the perturbations that change the arm within an episode; refuse what cannot be."""
+        plain = Perturbation.change_body
+        #: those that do
+        self.loads = [
+            one
+            for one in self.perturbations
+            if isinstance(one, Timed) and type(one.perturbation).change_body is not plain
+        ]
+        step = self.unperturbed.control_step
+        # Between these control steps loads and fields change evenly: they are largest at the ends.
+        corners = {one.moments(step)[place] for one in self.loads for place in (0, 1, -1)}
+        for body in map(self.body_after, sorted(corners)):
+            same = replace(body, hand_mass=self.body.hand_mass, force_field=self.body.force_field)
+            accepted = "of which only force-field and hand-mass change the body within an episode"
+            is_fine = same == ArmColumns.of(self.body)
+            require(is_fine, "perturbations", [one.name for one in changes], accepted)
+            make_arm(self.engine, ArmParameters(**vars(body)))
+
+    def body_after(self, steps: Any) -> ArmColumns:
+        """Return the arm after so many control steps, or n arms after (n,) of them."""
+        body = ArmColumns.of(self.unperturbed)
+        for one in timed_parts(self.perturbations, steps, self.unperturbed.control_step):
+            body = one.change_body(body)  # type: ignore[assignment]
+        return body
+
+    def is_loaded_after(self, steps: Any) -> Any:
+        """Tell whether the arm is another after so many control steps than a step before, (...)."""
+        step = self.unperturbed.control_step
+        changed = [one.share(steps, step) != one.share(steps - 1, step) for one in self.loads]
+        return np.any(changed, axis=0)
 
     def disturbance(self, steps: Any) -> Disturbance:
         """Return what disturbs the senses after so many control steps: a number, or (n,)."""

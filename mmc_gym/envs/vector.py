@@ -86,7 +86,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
         self._body = make_arms(
-            setup.engine, setup.body, num_envs, setup.action.servo, arguments.threads
+            setup.engine,
+            setup.body,
+            num_envs,
+            setup.action.servo,
+            arguments.threads,
+            differ=bool(setup.loads),
         )
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
@@ -162,6 +167,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             observation, rewards, info = self._move_and_look(values)
         else:
             self._move(values)
+            if self.setup.loads:
+                loaded = np.flatnonzero(self.setup.is_loaded_after(self._steps))
+                self._load(loaded, self._steps[loaded])
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
@@ -222,6 +230,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 self._paths[arm, : len(trial.targets)] = trial.targets
                 self._last_places[arm] = len(trial.targets) - 1
         self._body.reset(postures, arms)
+        self._load(arms, np.zeros_like(arms))
         if self.setup.lock_step == 0:
             self._body.lock(arms)
         self._steps[arms] = self._places[arms] = 0
@@ -236,6 +245,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         commands = np.multiply(values, scale, dtype=np.float64)
         self._body.command(commands + self._body.joint_angles if is_relative else commands)
         self._body.step()
+
+    def _load(self, arms: Indices, steps: Indices) -> None:
+        """Give these arms the load and the force field that they have after so many steps."""
+        if self.setup.loads and len(arms):
+            self._body.load(self.setup.body_after(steps), arms)
 
     def _move_targets(self) -> None:
         """Move the targets to where they are after this step."""

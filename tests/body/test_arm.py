@@ -215,6 +215,31 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
     assert abs(arm.joint_angles[1] - 0.7) > 0.1
 
 
+@pytest.mark.parametrize("obstacles", [(), ((5.0, 5.0, 0.1),)])
+def test_a_load_deals_no_blow_and_is_gone_after_a_reset(engine, obstacles, servo, play, scale):
+    if obstacles and engine == "analytic":
+        pytest.skip("it has none")
+    arm, fresh = (arm_of(engine, servo, obstacles=obstacles) for _ in range(2))
+    loaded = dataclasses.replace(arm.parameters, hand_mass=4.0, force_field=((0, 3), (-3, 0)))
+    twin = make_arm(engine, dataclasses.replace(loaded, force_field=None), servo)
+    play(arm, servo, seed=3, steps=20)
+    hand, speeds, angles = arm.end_effector, list(arm.joint_velocities), list(arm.joint_angles)
+    twin.reset(angles, speeds)
+    arm.load(loaded)
+    assert (arm.end_effector, arm.joint_velocities) == (hand, speeds)
+    arm.load(twin.parameters)  # without the field again
+    copied = copy.deepcopy(arm)
+    for each in (arm, copied, twin):
+        each.command([0.2 * scale(arm.parameters, servo)] * 3)
+        each.step()
+    assert arm.joint_velocities == copied.joint_velocities
+    # A placed arm goes round at once, while a moving one goes straight on in a substep.
+    np.testing.assert_allclose(arm.joint_velocities, twin.joint_velocities, atol=0.3)
+    for each in (arm, fresh):
+        each.reset([0.1, 0.7, -0.4])
+    assert play(arm, servo, seed=4, steps=30) == play(fresh, servo, seed=4, steps=30)
+
+
 def test_recording_the_effort_changes_no_movement_and_is_copied(play):
     parameters = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
     alone, recorded = PymunkArm(parameters), PymunkArm(parameters)

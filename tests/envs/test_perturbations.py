@@ -11,6 +11,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import (
     CursorGain,
     CursorJump,
@@ -257,6 +258,28 @@ def test_cursors_begin_grow_and_add_up_and_copies_continue(names, expected):
             other = copy.deepcopy(env)
             seen, *_, info = env.step(action)
             assert np.array_equal(other.step(action)[0], seen)
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize(
+    "name", ["force-field", "hand-mass", "rotation", "mirror", "clamp", "vision-noise", "delay"]
+)
+def test_what_begins_at_the_start_is_always_there_and_what_begins_later_is_not(name, engine):
+    change = parse_change(name).perturbation
+    always, timed, later, never = (
+        MMCReachEnv(perturbations=one, engine=engine, control="joint_torque")
+        for one in ([change], [Timed(change)], [Timed(change, at=0.2)], [])
+    )
+    plain = name not in ("vision-noise", "clamp")  # no noise is drawn, no cursor shown without
+    for seed in range(2):
+        for env in (always, timed, later, never):
+            env.reset(seed=seed, options={"target": (1.0, 1.0)})
+        for step, action in enumerate(rough_actions(20, seed), start=1):
+            seen = [env.step(action)[0] for env in (always, timed, later, never)]
+            assert np.array_equal(seen[0], seen[1])
+            if plain and step < 10:
+                np.testing.assert_allclose(seen[2], seen[3], atol=1e-6)
+        assert not np.array_equal(seen[2], seen[3])
 
 
 def test_the_target_is_in_reach_all_the_time():

@@ -64,6 +64,10 @@ VARIANTS = {
             "vision-delay-40-at-0.1",
         ),
     },
+    "loads begin and grow": {
+        "control": "joint_torque",
+        "perturbations": ("force-field-over-0.2", "force-field--90-at-0.1", "hand-mass-at-0.06"),
+    },
     "all at once": {
         "task": "double-step-200",
         "perturbations": ("force-field", AROUND_A_POINT, "locks", "vision-noise", "delay-100"),

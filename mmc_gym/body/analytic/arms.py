@@ -168,9 +168,7 @@ class AnalyticArmBatch(ArmBatch):
         self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
     ) -> None:
         if parameters is not None:
-            if len(self._chain) < len(self._state):
-                self._chain = np.repeat(self._chain, len(self._state))
-            _write(self._chain, arms // self._lanes, arms % self._lanes, parameters)
+            self._load(parameters, arms)
         kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override
@@ -222,13 +220,19 @@ class AnalyticArmBatch(ArmBatch):
         held = self._state["held"]
         held[arms // self._lanes, joints, arms % self._lanes] = self.joint_angles[arms, joints]
 
+    @override
+    def _load(self, parameters: ArmParameters, arms: Indices) -> None:
+        if len(self._chain) < len(self._state):
+            self._chain = np.repeat(self._chain, len(self._state))
+        _write(self._chain, arms // self._lanes, arms % self._lanes, parameters)
+
 
 class AnalyticArm(SingleArm):
     """One arm of the analytic engine; see `SingleArm`."""
 
     @override
     def _build(self) -> None:
-        self._arms = AnalyticArmBatch(self.parameters, 1, self._servo)
+        self._arms = AnalyticArmBatch(self.parameters, 1, self._servo, differ=True)
 
     @override
     def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -254,3 +258,7 @@ class AnalyticArm(SingleArm):
     @override
     def lock(self) -> None:
         self._arms.lock([0])
+
+    @override
+    def load(self, parameters: ArmParameters) -> None:
+        self._arms.load(parameters, [0])

@@ -29,6 +29,7 @@ from pymunk.batch import Buffer, get_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm
+from mmc_gym.body.parameters import ArmParameters
 from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impulses, make_space
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
@@ -67,6 +68,8 @@ class PymunkArm(SingleArm):
         if self.parameters.obstacles:  # Chipmunk remembers contacts, and cannot forget them
             self._build()
         else:
+            if self._linkage.parameters is not self.parameters:
+                self._set_load(self.parameters)
             forget_impulses(self._space, [self._linkage], self.parameters.substep)
         self._linkage.place(joint_angles, joint_velocities)
         self._yields = [1.0] * self._count
@@ -158,6 +161,15 @@ class PymunkArm(SingleArm):
     def lock(self) -> None:
         self._history.append(("lock",))
         self._linkage.lock(self.joint_angles)
+
+    @override
+    def load(self, parameters: ArmParameters) -> None:
+        self._history.append(("load", parameters))
+        self._set_load(parameters)
+
+    def _set_load(self, parameters: ArmParameters) -> None:
+        self._linkage.load(self._space, parameters)
+        self._field = None if parameters.force_field is None else self._linkage.field
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._history[0][0] != "reset":

@@ -193,6 +193,12 @@ class ArmGroup:
             self.linkages[member].place(posture, speeds)
         self._yields[members] = 1.0
 
+    def load(self, members: Sequence[int], parameters: Sequence[ArmParameters]) -> None:
+        """Load some arms, see `SingleArm.load`."""
+        for member, p in zip(members, parameters, strict=True):
+            self.linkages[member].load(self._spaces[member], p)
+        self._collect()
+
     def _forget_impulses(
         self, kept: Sequence[tuple[Linkage, pymunk.Space]], scratch: pymunk.Space
     ) -> None:
@@ -334,6 +340,12 @@ class PymunkArmBatch(ArmBatch):
             for member in members:
                 angles = self.joint_angles[group.arms.start + member]
                 group.linkages[member].lock(angles.tolist())
+
+    @override
+    def _load(self, parameters: ArmParameters, arms: Indices) -> None:
+        rows = ArmColumns.of(parameters).rows(len(arms))
+        for group, part, members in self._by_group(arms):
+            group.load(members, [rows[row] for row in part])
 
     def __reduce__(self) -> NoReturn:
         # Chipmunk does not expose the impulses that its joints remember.

@@ -150,6 +150,24 @@ class Linkage:
             chipmunk.cpConstraintSetMaxForce(lock._constraint, 0.0)
         self.force_limits = [*map(chipmunk.cpConstraintGetMaxForce, self.joint_handles)]
 
+    def load(self, space: pymunk.Space, parameters: ArmParameters) -> None:
+        """Change the load and the force field, while the segments move on as they are."""
+        (segment, length, before), rod = self.rods[-1], parameters.rods[-1]
+        angle, away = chipmunk.cpBodyGetAngle(segment), rod.centre - before
+        x, y, speed = away * cos(angle), away * sin(angle), self.segments[-1].angular_velocity
+        position, velocity = self.segments[-1].position, self.segments[-1].velocity
+        chipmunk.cpBodySetMass(segment, rod.mass)
+        chipmunk.cpBodySetMoment(segment, rod.inertia)
+        chipmunk.cpPivotJointSetAnchorB(self._pivots[-1], (-rod.centre, 0.0))
+        chipmunk.cpBodySetPosition(segment, (position.x + x, position.y + y))
+        chipmunk.cpBodySetVelocity(segment, (velocity.x - speed * y, velocity.y + speed * x))
+        for shape in self.segments[-1].shapes:
+            assert isinstance(shape, pymunk.Segment)
+            shape.unsafe_set_endpoints((-rod.centre, 0.0), (length - rod.centre, 0.0))
+        self.rods[-1] = segment, length, rod.centre
+        self.parameters, self._field = parameters, None
+        change_space(space, parameters)
+
     @property
     def has_stops_or_locks(self) -> bool:
         """Whether a stop or a lock may hold a joint."""
