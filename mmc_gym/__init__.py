@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     )
     from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.agents import make_agent
+    from mmc_gym.agents.trial_learner import TrialLearner
     from mmc_gym.benchmark.compare import compare
     from mmc_gym.experiments.trials import run_experiment
     from mmc_gym.listing import (
@@ -43,6 +44,7 @@ __all__ = [
     "HingeArm",
     "HingeNetwork",
     "MismatchWarning",
+    "TrialLearner",
     "UserError",
     "__version__",
     "agents",
@@ -74,6 +76,7 @@ _HOMES = {
     "HingeArm": "robots",
     "HingeNetwork": "robots",
     "MismatchWarning": "_errors",
+    "TrialLearner": "agents.trial_learner",
     "UserError": "_errors",
     "compare": "benchmark.compare",
     "list_agents": "listing",

@@ -1,15 +1,18 @@
 """Facts about agents in experiments: what is recorded, kept from trial to trial, and resumed."""
 
 import re
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
 
+from mmc_gym import TrialLearner, make_vec
 from mmc_gym._errors import UserError
 from mmc_gym.agents.base import Agent
 from mmc_gym.experiments import trials
@@ -281,3 +284,59 @@ def test_agents_of_one_run_may_learn_differently_and_subjects_too(tmp_path: Path
     ):
         with pytest.raises(UserError, match=named):
             run_experiment(SHORT, agents, 1, jobs=1, learners=wrong)
+
+
+class Known(TrialLearner):
+    def aim(self, target, state):
+        return target - state
+
+    def learn(self, error, state):
+        return 0.9 * state + 0.3 * error
+
+    def rest(self, seconds, state):
+        return 0.5 * state
+
+
+class Noisy(Known):
+    noise = 4.0
+
+
+def test_your_own_learner_moves_as_it_learns(tmp_path: Path) -> None:
+    blocks = (
+        Block("baseline", 8),
+        Block("turned", 8, "rotation-30"),
+        Block("clamp", 3, "clamp-0"),
+        Block("after", 2, rest=5.0, go_cue=0.1),
+    )
+    experiment, agents = Experiment("own", blocks), {"known": Known, "noisy": Noisy}
+    result = run_experiment(experiment, agents, 2, out=tmp_path, jobs=1)
+    expected, state = [], 0.0
+    for one in result.experiment.schedule:
+        state = 0.5 * state if one.rest else state
+        expected.append(state)
+        clamped = one.phase == "clamp"
+        state = 0.9 * state + 0.3 * (0.0 if clamped else one.strength - state)
+    of_known = result.trials["agent"] == "known"
+    way = result.hands[of_known, -1] - result.hands[of_known, 0]
+    turned = np.degrees(np.arctan2(way[:, 1], way[:, 0])) - result.trials["target_angle"][of_known]
+    compensated = (180 - turned) % 360 - 180
+    assert compensated.to_numpy() == pytest.approx(np.tile(expected, 2), abs=0.5)
+    noisy = result.trials[(result.trials["agent"] == "noisy") & (result.trials["block"] == 0)]
+    assert 1.5 < noisy["hand_angle"].std() < 8.0
+    assert not run_experiment(experiment, {"noisy": Noisy}, 1, jobs=1).trials.empty
+
+
+def test_a_learner_is_told_no_error_where_the_cursor_is_at_rest() -> None:
+    class Recorder(Known):
+        seen: ClassVar[list[float]] = []
+
+        def learn(self, error, state):
+            self.seen.append(error)
+            return state
+
+    with closing(make_vec("centre-out", 2, max_episode_steps=3)) as env:
+        learner = Recorder(env)
+        observation, _ = env.reset(seed=0)
+        _, state = learner.predict(observation, learner.begin([1, 2]))
+        learner.between_trials(state)
+    assert Recorder.seen == [0.0, 0.0]

@@ -1,0 +1,163 @@
+"""Your own learner over trials: where to aim, and what an error teaches.
+
+The arm is moved by the drive of the body agent, at the speed of people.  The movement is not
+corrected while it lasts, so that what is learned shows in its direction.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from mmc_gym.agents.base import Agent, Started, where
+from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, mmc_body
+from mmc_gym.agents.body_model.forward_model import Points, as_points, as_vectors, hand
+from mmc_gym.agents.body_model.parts import Parts
+from mmc_gym.interface import CannotActError, Observation, ReachInterface, Seen
+
+WAITING = 0.02  # a target nearer to the hand is no target yet, segment lengths
+
+
+class Movement(NamedTuple):
+    """A movement that goes on, of n arms; points as complex numbers, segment lengths."""
+
+    body: BodyState
+    begin: Points  # where the hand was felt, (n,)
+    seen_at_begin: Points  # where it, or its cursor, was seen
+    aim: Points  # where the hand goes
+    target: Points
+    seen: Points  # where hand or cursor was seen last
+
+
+class LearnerState(NamedTuple):
+    """What n learners know, and the movement that goes on, if any."""
+
+    learned: tuple[Any, ...]  # whatever `learn` returns, of each
+    randoms: tuple[np.random.Generator, ...]  # of planning noise
+    movement: Movement | None = None
+
+
+class TrialLearner(Agent[LearnerState]):
+    """A learner that aims, moves, sees its error, and learns from it.
+
+    It is made for an environment, and given to `run_experiment` as a class.  Its state is whatever
+    you like; directions are in degrees, counter-clockwise.
+
+        class Mine(TrialLearner):
+            def aim(self, target, state):
+                return target - state
+
+            def learn(self, error, state):
+                return 0.98 * state + 0.2 * error
+    """
+
+    initial: Any = 0.0  #: the state before the first trial
+    noise: float = 0.0  #: standard deviation of the planned direction, degrees (van Beers 2009)
+    vigour: float = 0.0  #: 0 as people move, 1 as fast as servos allow
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        """Make learners for an environment; raise a `CannotActError` if it has no planar arm."""
+        parts = Parts(vigour=self.vigour, identifies_body=False)
+        body = mmc_body(ReachInterface.of(env), parts)
+        if not isinstance(body, BodyAgent):
+            raise CannotActError("env must have an arm in the plane for a TrialLearner")
+        self.body = body
+
+    @abstractmethod
+    def aim(self, target: float, state: Any) -> float:
+        """Return the direction to move in, for a target in the direction `target`."""
+
+    @abstractmethod
+    def learn(self, error: float, state: Any) -> Any:
+        """Return the state for the next trial.
+
+        `error` is the direction of hand or cursor at the end less that of the target, from −180 to
+        180; 0.0 if the cursor was hidden.
+        """
+
+    def rest(self, seconds: float, state: Any) -> Any:
+        """Return the state after a rest between trials; by default the same."""
+        del seconds
+        return state
+
+    @override
+    def begin(self, seeds: Sequence[int]) -> LearnerState:
+        randoms = tuple(np.random.default_rng(seed) for seed in seeds)
+        return LearnerState((self.initial,) * len(randoms), randoms)
+
+    @override
+    def between_trials(self, state: LearnerState | None, rest: float = 0.0) -> LearnerState | None:
+        if state is None or state.movement is None:
+            return state
+        of = state.movement
+        moved, way = of.seen - of.seen_at_begin, of.target - of.seen_at_begin
+        is_seen = np.abs(moved) > WAITING
+        errors = np.where(is_seen, np.degrees(np.angle(moved * way.conj())), 0.0).tolist()
+        learned = (self.learn(*pair) for pair in zip(errors, state.learned, strict=True))
+        after = tuple(self.rest(rest, one) if rest else one for one in learned)
+        return LearnerState(after, state.randoms)
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: LearnerState | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], LearnerState]:
+        interface = self.body.interface
+        seen = interface.look(observation)
+        batch, rows = seen.joint_angles.shape[:-1], seen.in_rows()
+        if state is None:
+            state = self.begin(range(len(rows.joint_angles)))
+        begins = state.movement is None
+        if begins or np.any(episode_start):
+            new = self._begin_movement(rows)
+            starts = np.ones(len(rows.joint_angles), bool)
+            if not begins:  # a new episode, whose learner knows nothing
+                starts &= np.asarray(episode_start, bool).reshape(-1)
+                known = zip(starts, state.learned, strict=True)
+                learned = tuple(self.initial if one else kept for one, kept in known)
+                state = state._replace(learned=learned)
+            movement = new if begins else where(starts, new, state.movement)
+            state = state._replace(movement=movement)
+        state = self._aim(state, rows)
+        assert state.movement is not None
+        of, felt = state.movement, self._felt(rows)
+        aimed = Seen(rows.joint_angles, as_vectors(of.aim), rows.joint_speeds, as_vectors(felt))
+        action, body = self.body.respond(of.body, aimed)
+        moved = of._replace(body=body, seen=as_points(rows.hand).copy())
+        action = interface.checked_action(action, rows.joint_angles.shape[:-1])
+        return action.reshape(*batch, action.shape[-1]), state._replace(movement=moved)
+
+    def _felt(self, rows: Seen) -> Points:
+        """Return where the hands are by joint angles and given lengths, (n,)."""
+        lengths = np.array(self.body.interface.segment_lengths)
+        return hand(rows.joint_angles, lengths)
+
+    def _begin_movement(self, rows: Seen) -> Movement:
+        felt, seen = self._felt(rows), as_points(rows.hand).copy()
+        still = Seen(rows.joint_angles, as_vectors(felt), rows.joint_speeds, as_vectors(felt))
+        return Movement(self.body.start(still), felt, seen, felt, seen, seen)
+
+    def _aim(self, state: LearnerState, rows: Seen) -> LearnerState:
+        """Choose the aim of arms whose target has just appeared."""
+        assert state.movement is not None
+        of, target = state.movement, as_points(rows.target).copy()
+        way = target - of.seen_at_begin
+        appears = (np.abs(way) > WAITING) & (of.aim == of.begin)
+        if not appears.any():
+            return state
+        aim = of.aim.copy()
+        for arm in np.flatnonzero(appears):
+            planned = self.aim(float(np.degrees(np.angle(way[arm]))), state.learned[arm])
+            planned += self.noise * state.randoms[arm].standard_normal()
+            aim[arm] = of.begin[arm] + np.abs(way[arm]) * np.exp(1j * np.radians(planned))
+        shown = np.where(appears, target, of.target)
+        return state._replace(movement=of._replace(aim=aim, target=shown))
