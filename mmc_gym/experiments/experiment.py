@@ -16,7 +16,7 @@ import math
 import re
 from collections.abc import Sequence
 from importlib.resources import files
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 Class = TypeVar("Class", bound=type)
 
+_LABEL_ROOM = 90  # letters that fit above a timeline
 TRIALS_MOST = 100_000
 """Trials of an experiment, at most."""
 
@@ -183,6 +184,9 @@ class Block:
     def __post_init__(self) -> None:
         share = sum(1 / probe.every for probe in self.probes)
         require(share < 1, "probes", self.probes, "fewer than the trials")
+        for probe in self.probes:
+            accepted = f"at most the {self.trials} trials of block {self.name!r}"
+            require(probe.every <= self.trials, f"every of {probe.name!r}", probe.every, accepted)
 
     def perturbations_in(self, trial: int) -> tuple[Change, ...]:
         """Return the perturbations in a trial of the block, counted from 0."""
@@ -342,17 +346,28 @@ class Experiment:
 
     def plot_timeline(self, axes: Axes) -> None:
         """Draw the strength of the perturbation over trials, with phases, probes and rests."""
-        for name in dict.fromkeys(one.probe for one in self.schedule):
+        plain = [one for one in self.schedule if not one.probe]
+        trials, strengths = np.array([(one.trial, one.strength) for one in plain]).T
+        clamped = np.array([one.kind == "clamp" for one in plain])
+        line: Any = {"color": "0.2", "drawstyle": "steps-mid"}
+        axes.plot(trials, np.where(clamped, math.nan, strengths), **line, label="_")
+        if clamped.any():
+            held = np.where(clamped, strengths, math.nan)
+            axes.plot(trials, held, **line, linestyle=":", label="error clamp")
+        probes = dict.fromkeys(one.probe for one in self.schedule if one.probe)
+        for name, marker in zip(probes, cycle("x+|14")):
             of = [one for one in self.schedule if one.probe == name]
-            style: Any = {"linestyle": "", "marker": ".", "markersize": 3, "label": name}
-            if not name:
-                style = {"color": "0.2", "drawstyle": "steps-mid", "label": "_"}
-            axes.plot([one.trial for one in of], [one.strength for one in of], **style)
+            style: Any = {"linestyle": "", "marker": marker, "markersize": 4, "color": "0.4"}
+            axes.plot([one.trial for one in of], [one.strength for one in of], **style, label=name)
         first = np.cumsum([0, *(block.trials for block in self.blocks)]) - 0.5
-        text: Any = {"ha": "center", "va": "bottom", "transform": axes.get_xaxis_transform()}
+        text: Any = {"va": "bottom", "transform": axes.get_xaxis_transform()}
         for block, (begin, end) in zip(self.blocks, pairwise(first), strict=True):
             pause = f"{block.rest:g} s rest, " if block.rest else ""
-            axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
+            room = (end - begin) / len(self.schedule) * _LABEL_ROOM
+            is_short = len(pause + block.name) > room  # its label would run over its neighbours'
+            place: Any = {"rotation": 30, "ha": "left"} if is_short else {"ha": "center"}
+            middle = (begin + end) / 2
+            axes.text(middle, 1.03, pause + block.name, **text, **place)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
         units = dict.fromkeys(one.unit for one in self._learned())
         unit = f"\n[{', '.join(units)}]" if units else ""
@@ -367,7 +382,7 @@ class Experiment:
         with rc_context(STYLE):
             figure = ShownFigure(figsize=(6.5, 1.8), layout="constrained")
             self.plot_timeline(figure.add_subplot())
-            if any(one.probe for one in self.schedule):
+            if figure.axes[0].get_legend_handles_labels()[0]:
                 figure.legend(loc="outside right center", frameon=False)
         return figure
 

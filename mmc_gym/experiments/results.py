@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import add
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -246,8 +247,10 @@ def learning_figure(
         result.experiment.plot_timeline(above)
         above.set_xlabel("")
         _draw_curves(below, result, resamples)
-        shown = below.get_legend_handles_labels()
-        figure.legend(*shown, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
+        handles, labels = map(add, *(one.get_legend_handles_labels() for one in (below, above)))
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5
+        )
     return figure
 
 
@@ -265,8 +268,6 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
     full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)
     line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
     axes.step(np.arange(len(full)), full, "0.6", **line)
-    if "catch" in learning.kinds:
-        axes.plot([], [], "x", color="0.4", ms=4, label="catch trials")
     in_degrees = learning.unit == "°"
     label = "hand angle [°]" if in_degrees else "adaptation [share of the deviation]"
     axes.set(xlabel="trial", ylabel=label)

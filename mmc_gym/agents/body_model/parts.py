@@ -52,7 +52,8 @@ class Parts:
             numbers = require_numbers(name, getattr(self, name), accepted, _are_shares)
             object.__setattr__(self, name, numbers)
         count, total = len(self.rate), sum(self.rate)
-        require(len(self.retention) == count, "retention", self.retention, f"{count}, as of rate")
+        accepted = f"{count} numbers, as many as rate has"
+        require(len(self.retention) == count, "retention", self.retention, accepted)
         require(total <= 1, "rate", self.rate, "at most 1 together")
 
     @cached_property
