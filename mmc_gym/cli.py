@@ -256,6 +256,7 @@ def adapt(
     rate: Shares = (0.2,),
     retention: Shares = (0.98,),
     learners: OtherPlace = None,
+    people: OtherPlace = None,
     subjects: Number = 20,
     seed: Number = 0,
     lengths_in: Unit = "lengths",
@@ -272,15 +273,22 @@ def adapt(
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
         retention: Share of a state that is left at the next trial.
         learners: YAML file of what differs for some agents, such as "slow: {rate: 0.05}".
+        people: CSV of your own data for the figure, with columns trial and adaptation.
         subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
         lengths_in: Of segments, or metres of a person's arm.
         out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
-    from mmc_gym.experiments import trials
+    import pandas as pd
 
-    shared = more.load()
+    from mmc_gym.experiments import trials
+    from mmc_gym.experiments.experiment import find_experiment
+    from mmc_gym.experiments.results import check_people
+
+    shared, of_people = more.load(), None
+    if people is not None:
+        of_people = check_people(pd.read_csv(people), find_experiment(experiment))
     with progress_bar() as bar:
         task = bar.add_task("agents")
         result = trials.run_experiment(
@@ -297,7 +305,7 @@ def adapt(
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             **shared,
         )
-    result = replace(result, lengths_in=lengths_in)
+    result = replace(result, lengths_in=lengths_in, people=of_people)
     result.print(make_console())
     print_written(make_console(), result.write(out))
 

@@ -21,10 +21,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from pandas.api.types import is_numeric_dtype
 from rich.console import Console
 
 from mmc_gym._console import make_console
-from mmc_gym._errors import require_choice
+from mmc_gym._errors import UserError, require, require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, estimate_cell, print_table
@@ -66,6 +67,7 @@ class ExperimentResult:
     targets: NDArray[np.float32]  #: likewise, of the target
     control_step: float  #: s
     lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`
+    people: pd.DataFrame | None = None  #: your own data for the figure, see `check_people`
 
     @cached_property
     def measures(self) -> pd.DataFrame:
@@ -217,6 +219,27 @@ def _printed(row: Any) -> Cell:
     return estimate_cell(row, row["decimals"])
 
 
+def check_people(table: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
+    """Return your table of people, to be drawn with agents, if it fits the experiment.
+
+    It has columns trial (in the experiment, from 0) and adaptation (in the unit of the figure),
+    and a row for each trial, or for each subject and trial.
+
+    Raises:
+        UserError: if a column is missing or holds no numbers, or there is no such trial.
+    """
+    for name in ("trial", "adaptation"):
+        if name not in table:
+            raise UserError(f"people must have a column {name!r}, got {[*table.columns]}")
+        require(is_numeric_dtype(table[name]), f"people's {name}", table[name].iloc[0], "numbers")
+    trials, count = table["trial"], len(experiment.schedule)
+    fine = trials.between(0, count - 1)
+    if not fine.all():
+        accepted = f"from 0 to {count - 1}, as in {experiment.name}"
+        require(False, "people's trial", trials[~fine].iloc[0].item(), accepted)
+    return table
+
+
 def learning_figure(
     result: ExperimentResult,
     table: pd.DataFrame | None = None,
@@ -263,6 +286,9 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
         label = f"{agent} ({settings})" if settings else agent
         axes.plot([], [], color=colour, linestyle=style, label=label)
         _draw_curve(axes, learning, colour, style, resamples)
+    if result.people is not None:
+        mean = result.people.groupby("trial")["adaptation"].mean()
+        axes.plot(mean.index, mean, "k.", ms=2.5, label=PEOPLE)
     for begin in np.flatnonzero(np.diff(learning.blocks)) + 0.5:
         axes.axvline(begin, color="0.8", linewidth=0.8, zorder=0)
     full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)

@@ -1,5 +1,7 @@
 """Tables and figures of learning, from trials of learners that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +13,7 @@ from mmc_gym.experiments.adaptation import learning_of
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
 from mmc_gym.experiments.results import (
     ExperimentResult,
+    check_people,
     learning_figure,
     learning_table,
     print_learning,
@@ -128,3 +131,20 @@ def test_means_of_resamples_begin_with_the_mean():
     assert means[0] == pytest.approx([3.0, 3.0])
     assert np.nanmin(means) >= 1.0 and np.nanmax(means) <= 5.0
     assert means[1:, 0].std() == pytest.approx(np.sqrt(8 / 3 / 3), rel=0.2)
+
+
+def test_your_own_data_of_people_are_drawn_with_agents_if_they_fit():
+    result = played(30.0)
+    trials = np.arange(len(result.experiment.schedule))
+    table = pd.DataFrame({"trial": np.tile(trials, 2), "adaptation": np.r_[trials, trials + 2.0]})
+    checked = check_people(table, result.experiment)
+    figure = learning_figure(replace(result, people=checked), resamples=20)
+    drawn = {line.get_label(): line for line in figure.axes[1].lines}[PEOPLE]
+    assert drawn.get_ydata() == pytest.approx(trials + 1.0)
+    for wrong, message in (
+        (table.rename(columns={"trial": "n"}), r"column 'trial', got \['n', 'adaptation'\]"),
+        (table.assign(trial=table["trial"] + 1), "trial must be from 0 to 111, as in own, got 112"),
+        (table.assign(adaptation="much"), "adaptation must be numbers, got 'much'"),
+    ):
+        with pytest.raises(UserError, match=message):
+            check_people(wrong, result.experiment)
