@@ -2,8 +2,8 @@
 
 Run it with `python benchmarks/network_speed.py`.  The network of hinges settles on random poses of
 chains of 7, 14 and 28 joints.  torch, without and with gradients back to the start, is compared
-with numpy and numba; they take turns, and ratios are medians of those of each round.  `speed`
-compares the compiled network with a plain copy of its state, and times the agents.
+with numpy; they take turns, and ratios are medians of those of each round.  `speed` compares the
+network with a plain copy of its state, and times the agents.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -38,7 +38,7 @@ class Arguments:
         rounds: rounds, in each of which each has one turn.
         seconds: least duration of a turn.
         tables: what to time; "hinges" takes up to a minute to compile for every chain.
-        device: of torch, such as "cuda"; numpy and numba stay on the processor.
+        device: of torch, such as "cuda"; numpy stays on the processor.
     """
 
     rounds: int = 9
@@ -96,13 +96,13 @@ def hinge_table(arguments: Arguments) -> Table:
 
 
 def torch_table(arguments: Arguments) -> Table:
-    """Time per arm and iteration of numpy, numba and torch, one thread each."""
+    """Time per arm and iteration of numpy and torch, one thread each."""
     table = Table(
         title=f"torch on {arguments.device}: ns per arm and iteration, {ITERATIONS} of them"
     )
     for heading in ("network", "precision"):
         table.add_column(heading)
-    for heading in ("batch", "numpy", "numba", "torch", "torch / numpy", "with gradients"):
+    for heading in ("batch", "numpy", "torch", "torch / numpy", "with gradients"):
         table.add_column(heading, justify="right")
     networks = {
         "kinematic": MMCNetwork(),
@@ -117,8 +117,8 @@ def torch_table(arguments: Arguments) -> Table:
                 scale = 1e9 / batch / ITERATIONS
                 cells = {key: f"{np.median(value) * scale:,.1f}" for key, value in times.items()}
                 ratio = np.median(times["torch"] / times["numpy"])
-                found = (cells.get(key, "–") for key in ("numpy", "numba", "torch"))
-                row = (np.dtype(dtype).name, f"{batch:,}", *found, f"{ratio:.1f}")
+                found = cells["numpy"], cells["torch"], f"{ratio:.1f}"
+                row = (np.dtype(dtype).name, f"{batch:,}", *found)
                 table.add_row(name, *row, cells["gradients"])
     return table
 
@@ -126,14 +126,12 @@ def torch_table(arguments: Arguments) -> Table:
 def torch_calls(
     network: MMCNetwork, dtype: np.dtype, batch: int, device: str
 ) -> dict[str, Callable[[], object]]:
-    """Return runs of one network by each engine that can."""
+    """Return runs of one network in numpy and in torch, there with gradients, too."""
     random = np.random.default_rng(0)
     posture = random.uniform(-np.pi, np.pi, (batch, 3)).astype(dtype)
     target = random.uniform(-1.5, 1.5, (batch, 2)).astype(dtype)
     state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
     calls = {"numpy": partial(network.run, state, clamps, ITERATIONS)}
-    if not isinstance(network.normalizer, LearnedNormalizer):
-        calls["numba"] = partial(replace(network, engine="numba").run, state, clamps, ITERATIONS)
     twin = TorchNetwork(network, device=device, dtype=getattr(torch, dtype.name))
     angles = torch.from_numpy(posture).to(device).requires_grad_()
     held = twin.inverse(torch.from_numpy(target).to(device))

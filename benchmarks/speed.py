@@ -12,6 +12,7 @@ import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from math import nan
@@ -185,12 +186,9 @@ def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float6
     for count in NETWORKS:
         posture = random.uniform(-np.pi, np.pi, (count, 3))
         target = random.uniform(-1.5, 1.5, (count, 2))
-        calls: dict[str, Any] = {}
-        for engine in ("numpy", "numba"):
-            network = MMCNetwork(dynamics="paper", engine=engine)
-            state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
-            calls[COPY] = state.values.copy
-            calls[engine] = lambda n=network, s=state, c=clamps: n.run(s, c, ITERATIONS)
+        network = MMCNetwork(dynamics="paper")
+        state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
+        calls = {COPY: state.values.copy, "numpy": partial(network.run, state, clamps, ITERATIONS)}
         times = interleaved(calls, arguments.rounds, arguments.seconds / 3)
         for name, seconds in times.items():
             iterations = 1 if name == COPY else ITERATIONS

@@ -60,16 +60,9 @@ def test_what_needs_numba_says_how_to_get_it():
     shown = run_python(
         "import sys; sys.modules['numba'] = None\n"
         "try: import mmc_gym.body.analytic.arms\n"
-        "except ImportError as error: print(error)\n"
-        "from mmc_gym.network import MMCNetwork\n"
-        "MMCNetwork()\n"
-        "try: MMCNetwork(engine='numba')\n"
-        "except ImportError as error: print(error)\n"
-        "try: MMCNetwork(engine='numba', dimensions=3)  # a mistake with numba as well\n"
-        "except ValueError as error: assert 'must be' in str(error), error"
+        "except ImportError as error: print(error)"
     )
-    assert all(line.endswith('pip install "mmc-gym[fast]"') for line in shown.splitlines())
-    assert len(shown.splitlines()) == 2
+    assert shown.strip().endswith('pip install "mmc-gym[fast]"')
 
 
 def test_public_names_are_at_the_top_and_loaded_when_they_are_used():

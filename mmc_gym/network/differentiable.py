@@ -63,7 +63,7 @@ class TorchState:
 class TorchNetwork(torch.nn.Module):
     """An `MMCNetwork` in torch, equal to it up to rounding (1e-12 in float64).
 
-    As with its engines, rounding decides to which side an exactly stretched arm bends.
+    Rounding decides to which side an exactly stretched arm bends.
 
     Clamps are a mapping from pairs of nodes to vectors (..., 2), as for `MMCNetwork.clamp`.
     Tensors are converted to the module's device and dtype.  Their values are not checked, so values

@@ -62,7 +62,6 @@ if TYPE_CHECKING:  # numpy is all that the network needs
 
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
-NetworkEngine = Literal["numpy", "numba"]
 
 # Vectors are in one line within this angle, radians: some roundings of their dtype.
 _STRAIGHT = {"d": 1e-14, "f": 1e-5}
@@ -184,13 +183,7 @@ class MMCNetwork:
     #: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
     velocity_decay: float = 0.92
     schedule: Schedule = "synchronous"  #: "synchronous" or "delayed"
-    #: "numpy"; or "numba", which compiles the inverse task of a Euclidean and synchronous network.
-    #: That takes a quarter of the time, and the result is equal up to rounding (1e-12).  Only a
-    #: stretched arm whose target needs it bent is in a balance: rounding decides to which side it
-    #: bends, and differences grow (1e-9 after 60 iterations, then to another posture).  The first
-    #: run with N segments compiles for some seconds.
-    engine: NetworkEngine = "numpy"
-    dimensions: int = 2  #: 2; or 3, with the Euclidean normalizer and the engine "numpy"
+    dimensions: int = 2  #: 2; or 3, with the Euclidean normalizer
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"
@@ -210,17 +203,10 @@ class MMCNetwork:
         require_number("velocity_damping", value, accepted, lambda d_v: least <= d_v < np.inf)
         value = self.velocity_decay
         require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
-        require_choice("engine", self.engine, get_args(NetworkEngine))
         require(self.dimensions in (2, 3), "dimensions", self.dimensions, "2 or 3")
         if self.dimensions == 3:
             fine = not isinstance(self.normalizer, LearnedNormalizer)
             require(fine, "normalizer", self.normalizer, "Euclidean for 3 dimensions")
-        if self.engine == "numba":
-            is_euclidean = type(self.normalizer) is EuclideanNormalizer
-            fine = is_euclidean and self.schedule == "synchronous" and self.dimensions == 2
-            accepted = "'numpy', unless the network is Euclidean, synchronous and in the plane"
-            require(fine, "engine", self.engine, accepted)
-            import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
 
     @property
     def segment_count(self) -> int:
@@ -297,12 +283,7 @@ class MMCNetwork:
         require_whole("iterations", iterations, least=0)
         values = self.hold(state, clamps).values
         flat = values.reshape(*values.shape[:2], values[0, 0].size)
-        if self.engine == "numba" and clamps.rows == (self._hand_row,):
-            from mmc_gym.network.compiled import compiled_iteration
-
-            compiled_iteration(self)(flat, iterations)
-        else:
-            cached_iteration(self, clamps.rows, values.dtype.char)(flat, iterations)
+        cached_iteration(self, clamps.rows, values.dtype.char)(flat, iterations)
         return MMCState(values, self.segment_count)
 
     def hold(self, state: MMCState, clamps: Clamps) -> MMCState:

@@ -1,6 +1,5 @@
 """Kinds of networks, and the engines that iterate them behind one call."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -46,10 +45,6 @@ def iterate():
     def run(engine, network, *arguments):
         if engine == "torch":
             return iterate_torch(network, *arguments)
-        if engine == "numba":
-            pytest.importorskip("numba", reason='it takes the extra "fast"')
-            if network.schedule == "delayed":
-                pytest.skip("numpy and torch alone have this schedule")
-        return replace(network, engine=engine).run(*arguments)
+        return network.run(*arguments)
 
     return run

@@ -108,7 +108,7 @@ def test_with_the_end_effector_clamped_the_slowest_mode_has_eigenvalue_two(count
 
 LEARNED = LearnedNormalizer.shipped()
 ENGINES = [
-    *((engine, EuclideanNormalizer()) for engine in ("numpy", "numba", "torch")),
+    *((engine, EuclideanNormalizer()) for engine in ("numpy", "torch")),
     *((engine, LEARNED) for engine in ("numpy", "torch")),
 ]
 QUICK = [(3, *engine) for engine in ENGINES] + [(5, *ENGINES[0])]
@@ -241,14 +241,11 @@ def test_no_other_arm_is_bent():
         ({"segment_lengths": (1.0,)}, "segment_lengths .* two or more"),
         ({"damping": 2.0}, r"damping .* \(N \+ 1\) / 2 = 2"),
         ({"normalizer": "paper"}, "normalizer .* 'paper'"),
-        ({"normalizer": LEARNED, "engine": "numba"}, "engine .* Euclidean"),
-        ({"schedule": "delayed", "engine": "numba"}, "engine .* synchronous"),
         ({"velocity_damping": None}, "velocity_damping .* None"),
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping .* 0.5"),
         ({"velocity_decay": 1.1}, "velocity_decay .* 1.1"),
         ({"dampening": 4}, "did you mean 'damping'"),
         ({"dynamics": "dynamic"}, "did you mean 'paper'"),
-        ({"engine": "jax"}, "engine 'jax'"),
     ],
 )
 def test_an_impossible_network_is_refused(settings, named):
@@ -346,7 +343,6 @@ SPACE, IN_SPACE = MMCNetwork(dimensions=3), MMCNetwork(dimensions=3).state_from_
     [
         lambda: MMCNetwork(dimensions=4),
         lambda: MMCNetwork(dimensions=3, normalizer=LEARNED),
-        lambda: MMCNetwork(dimensions=3, engine="numba"),
         lambda: SPACE.state_from_joint_angles([0, 0, 0]),
         lambda: IN_SPACE.joint_angles,
         lambda: SPACE.inverse([1.0, 1.0]),
