@@ -87,8 +87,6 @@ class ObservationParts(NamedTuple):
     speeds: Any  #: joint velocities as fractions of their limit, (..., N)
     target: Any  #: position of the target, segment lengths, (..., 2)
     offset: Any  #: target − hand, segment lengths, (..., 2)
-    near: Any  #: the same, enlarged near 0: offset / (OFFSET_SCALE + |offset|), (..., 2)
-    rest: Any  #: values that follow, if the observation is longer, (..., any number)
 
 
 OFFSET_SCALE = 0.05  # segment lengths
@@ -226,8 +224,6 @@ class ObservationLayout:
             speeds=posture[..., 2 * count : end],
             target=values[..., end : end + 2],
             offset=values[..., end + 2 : end + 4],
-            near=values[..., end + 4 : end + 6],
-            rest=values[..., end + 6 :],
         )
 
 

@@ -34,8 +34,8 @@ NORMALIZERS = {
 def page_data() -> dict[str, Any]:
     """Return what the page needs."""
     network, card = load_policy(shipped_file("ppo", 0))
-    if (card.view, card.control, card.base_agent) != ("arm", "joint_delta", ""):
-        raise ValueError(f"the page cannot show {card.view}, {card.control}, {card.base_agent!r}")
+    if (card.control, card.base_agent) != ("joint_delta", ""):
+        raise ValueError(f"the page cannot show {card.control}, {card.base_agent!r}")
     names = [*(f"hidden.{k}" for k in range(len(network.hidden_units))), "mean"]
     default = {field.name: field.default for field in fields(MMCNetwork)}
     arm = ArmParameters()

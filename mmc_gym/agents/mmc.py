@@ -153,23 +153,6 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
     return MMCAgent(interface, network, iterations_per_step=3)
 
 
-def tuned_mmc(interface: ReachInterface) -> MMCAgent:
-    """Return the network of `mmc` with constants that Optuna found: 20 trials of 200,000 steps.
-
-    The hand is at the target for 77.2 % of the time, with the constants of `mmc` for 75.5 %
-    (`python -m studies.learners.tuning mmc`).  d is just above (N + 1) / 2, the bound of
-    convergence.
-    """
-    network = network_of_arm(
-        interface,
-        damping=0.547 * (len(interface.segment_lengths) + 1),
-        dynamics="paper",
-        velocity_damping=4.44,
-        velocity_decay=0.963,
-    )
-    return MMCAgent(interface, network, iterations_per_step=5)
-
-
 class TimedMMCState(NamedTuple):
     """State of the agent: the network's, and the movement."""
 

@@ -38,10 +38,6 @@ from mmc_gym.agents.policy_network import (
     Float32,
     History,
     PolicyNetwork,
-    View,
-    feature_count,
-    features,
-    turned_actions,
 )
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
@@ -84,7 +80,7 @@ class PolicyCard:
     env_id: str  #: the environment that it was trained in
     control: Control  #: the control mode that its actions are of
     segment_count: Annotated[int, Gt(0)]
-    view: View  #: see `mmc_gym.agents.policy_network`
+    view: Literal["arm"]  #: it sees observations as they are
     activation: Activation  #: see `PolicyNetwork`
     distribution: Distribution  #: see `PolicyNetwork`
     base_agent: str  #: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none
@@ -187,7 +183,7 @@ class PolicyAgent(Agent[Any]):
                 card.control,
             )
         self._history = History(layout, card.blocks) if card.blocks else None
-        inputs = feature_count(card.view, layout) + (count if card.base_agent else 0)
+        inputs = layout.size + (count if card.base_agent else 0)
         inputs += self._history.size if self._history else 0
         if network.input_size != inputs:
             raise UserError(f"network must take {inputs} features, got {network.input_size}")
@@ -228,8 +224,7 @@ class PolicyAgent(Agent[Any]):
     ) -> tuple[NDArray[np.float32], Any]:
         layout = self._interface.layout
         observation = layout.check(observation)
-        seen = features(np, self.card.view, observation, layout)
-        seen = seen.astype(np.float32, copy=False)
+        seen = layout.flatten(observation).astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._history is not None:
             start = partial(self._history.start, observation)
@@ -245,9 +240,6 @@ class PolicyAgent(Agent[Any]):
         else:
             check_no_state(state)
             action = self._network.act(seen, random)
-            if self.card.view == "target":
-                action = turned_actions(np, action, observation, layout)
-                action = action.astype(np.float32, copy=False)  # goals are float64
         if self._gives_positions:
             action = self._as_positions(action, observation)
         return action, state

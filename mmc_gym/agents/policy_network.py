@@ -1,17 +1,7 @@
-"""A trained policy as plain arrays: what it sees of an observation, its network, and its memory.
+"""A trained policy as plain arrays: its network, and its memory.
 
-Views, in numpy and in torch alike.  "arm" is the observation as it is: target and offset are seen
-from the arm's first segment.  A goal environment's is brought into the same form.
-
-The task has no preferred direction: turn arm and target about the base, and the same joint speeds
-do.  But joint positions mean a direction.  For them there is "target", in which the world is turned
-until the target, at φ from the base, lies straight ahead:
-
-    cos (q_1 − φ), sin (q_1 − φ), cos q_2…q_N, sin q_2…q_N, joint speeds,
-    |target|, e = R(−φ) (target − hand), e / (OFFSET_SCALE + |e|)
-
-A policy with this view gives joint positions in the turned world, where the posture 0 points at the
-target, and `turned_actions` turns them back.
+It sees observations as they are: target and offset in the frame of the arm's first segment.  A goal
+environment's are brought into the same form.
 
 The network is a small MLP that gives the mean of an action, and its spread.
 
@@ -28,11 +18,10 @@ A policy with a memory also sees its `History` of observations and actions.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,64 +31,10 @@ from mmc_gym.interface import Observation, ObservationLayout
 
 Float32 = NDArray[np.float32]
 Tensors = Mapping[str, Float32]
-View = Literal["arm", "target"]
 Activation = Literal["relu", "tanh"]
 Distribution = Literal["gaussian", "squashed"]
 
 _LOG_STD_RANGE = (-20.0, 2.0)  # stable-baselines3's, where the spread is an output
-
-VIEWS: dict[View, str] = {
-    "arm": "posture, joint speeds, target, and offset from hand to target, as observed",
-    "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
-    "target, all seen as if the target lay straight ahead; its actions are turned back",
-}
-"""Descriptions of the views, for a table."""
-
-
-def features(arrays: Any, view: View, observation: Any, layout: ObservationLayout) -> Any:
-    """Return the features of observations, (..., `feature_count`), and any additions to these.
-
-    The observations are `arrays` of the module numpy or torch: of MMCReach-v0, (..., 3N + 6) or
-    longer, or of MMCReachGoal-v0, a mapping.
-    """
-    if view == "arm":
-        return layout.flatten(observation, arrays)
-    seen = layout.split(observation, arrays)
-    target_x, target_y = _columns(seen.target)
-    distance = arrays.hypot(target_x, target_y)
-    divisor = distance + (distance == 0)  # a target at the base has no direction; any will do
-    cosine, sine = target_x / divisor, target_y / divisor
-    offset_x, offset_y = turned_back(*_columns(seen.offset), cosine, sine)
-    near_x, near_y = turned_back(*_columns(seen.near), cosine, sine)
-    posture = (cosine, -sine, seen.cosines[..., 1:], seen.sines[..., 1:], seen.speeds)
-    shown = (distance, offset_x, offset_y, near_x, near_y, seen.rest)
-    return arrays.concatenate((*posture, *shown), -1)
-
-
-def _columns(vectors: Any) -> tuple[Any, Any]:
-    """Return x and y of vectors (..., 2), (..., 1) each."""
-    return vectors[..., :1], vectors[..., 1:]
-
-
-def feature_count(view: View, layout: ObservationLayout) -> int:
-    """Return how many features an observation without additions has."""
-    return layout.size - (view == "target")
-
-
-def turned_actions(
-    arrays: Any, actions: Any, observation: Any, layout: ObservationLayout, *, back: bool = False
-) -> Any:
-    """Turn joint positions in the target's view into joint positions in the world, or back.
-
-    Actions are joint angles / π, (..., N).  The first is wrapped to the range from −1 to 1, the
-    others are kept.  The other arguments are those of `features`.
-    """
-    seen = layout.split(observation, arrays)
-    first_angle = arrays.arctan2(seen.sines[..., :1], seen.cosines[..., :1])
-    target_x, target_y = _columns(seen.target)
-    turn = (first_angle + arrays.arctan2(target_y, target_x)) / math.pi
-    first = (actions[..., :1].clip(-1, 1) + (-turn if back else turn) + 1) % 2 - 1
-    return arrays.concatenate((first, actions[..., 1:]), -1)
 
 
 class _Layer(NamedTuple):

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, require_plain
-from mmc_gym.agents.policy_network import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
 
 Kind = Literal[
@@ -44,17 +43,16 @@ IDEAL = Knowledge("ideal", lengths="has no arm", actions="has no arm", senses="s
 
 
 def learned_knowledge(
-    view: View, base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
+    base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
 ) -> Knowledge:
     """Return what a trained policy is given and senses.
 
     Args:
-        view: what it observes.
         base_agent: the agent whose actions it corrects; empty without one.
         kind: "yours" for one that does not ship with the package.
         memory: number of the last steps that it remembers.
     """
-    senses = f"{VIEWS[view]}, in every step"
+    senses = "posture, joint speeds, target, and offset from hand to target, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
     given = "not given: had to learn"
     if base_agent:
@@ -105,7 +103,6 @@ def _trained(
     training_seeds: int,
     *,
     control: Control = "joint_delta",
-    view: View = "arm",
     base_agent: str = "",
     memory: int = 0,
     command: str = "mmc-gym train {}",
@@ -115,7 +112,7 @@ def _trained(
         name: AgentEntry(
             f"{description}, trained by `{command.format(name)}`",
             "policy:shipped_agent",
-            learned_knowledge(view, base_agent, memory=memory),
+            learned_knowledge(base_agent, memory=memory),
             control,
             training_seeds,
             settings={"name": name},
@@ -144,9 +141,6 @@ AGENTS: dict[str, AgentEntry] = {
     "mmc-neural": AgentEntry(
         "as mmc, with the learned normalizer", "mmc:neural_mmc", Knowledge("network")
     ),
-    "mmc-tuned": AgentEntry(
-        "as mmc, with constants that Optuna found", "mmc:tuned_mmc", Knowledge("network")
-    ),
     "ik-dls": AgentEntry(
         "inverse kinematics by damped least squares",
         "inverse_kinematics:damped_least_squares_agent",
@@ -163,14 +157,6 @@ AGENTS: dict[str, AgentEntry] = {
         command="python -m studies.learners.train_all --names ppo-residual",
     ),
     **_trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
-    **_trained(
-        "ppo-position",
-        "PPO whose actions are joint angles",
-        3,
-        control="joint_position",
-        view="target",
-        command="python -m studies.learners.train_all --names ppo-position",
-    ),
     **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
     **_trained(
         "ppo-memory",

@@ -151,9 +151,9 @@ class ResolvedAgent:
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)
-            return learned_knowledge(card.view, card.base_agent, kind, memory=memory)
+            return learned_knowledge(card.base_agent, kind, memory=memory)
         if self.model is not None:
-            return learned_knowledge("arm", kind="yours")
+            return learned_knowledge(kind="yours")
         if self.is_reference:
             return IDEAL
         return self.entry.knowledge if self.entry else UNKNOWN

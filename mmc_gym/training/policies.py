@@ -35,29 +35,23 @@ from mmc_gym.agents.policy_network import (
     Distribution,
     Float32,
     PolicyNetwork,
-    View,
-    feature_count,
-    features,
 )
 from mmc_gym.interface import ObservationLayout
 
 ACTIVATIONS: dict[Activation, Any] = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
 
 
-class ViewLayer(BaseFeaturesExtractor):
-    """`features` as a layer without parameters."""
+class FlatObservation(BaseFeaturesExtractor):
+    """Observations in the form of `MMCReach-v0`, as a layer without parameters."""
 
-    def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
-        """Make the layer; a `ValueError` if observations are not of an arm of these joints."""
-        layout = ObservationLayout(joint_count, reach=1.0)  # features do not depend on the reach
-        additions = layout.additions(observation_space)
-        super().__init__(observation_space, feature_count(view, layout) + additions)
-        self.view: View = view
-        self.layout = layout
+    def __init__(self, observation_space: spaces.Space[Any], joint_count: int) -> None:
+        """Make the layer; a `UserError` if observations are not of an arm of these joints."""
+        self.layout = layout = ObservationLayout(joint_count, reach=1.0)  # of any reach
+        super().__init__(observation_space, layout.size + layout.additions(observation_space))
 
     def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> Any:
         """Return the features of observations, (batch, features)."""
-        return features(torch, self.view, observations, self.layout)
+        return self.layout.flatten(observations, torch)
 
 
 class TQCGoalPolicy(TQCPolicy):
@@ -71,13 +65,13 @@ class TQCGoalPolicy(TQCPolicy):
         **options: Any,
     ) -> None:
         """Make a policy with the options of its base class."""
-        seen = {"view": "arm", "joint_count": action_space.shape[0]}
-        options |= {"features_extractor_class": ViewLayer, "features_extractor_kwargs": seen}
+        options |= {"features_extractor_class": FlatObservation}
+        options |= {"features_extractor_kwargs": {"joint_count": action_space.shape[0]}}
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 
-def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
-    """Return a copy of the network of a policy of PPO, SAC or TQC, and the policy's view.
+def export_policy(policy: BasePolicy) -> PolicyNetwork:
+    """Return a copy of the network of a policy of PPO, SAC or TQC.
 
     Raises:
         ValueError: if the policy has layers or a features extractor that we cannot copy.
@@ -91,10 +85,9 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         actor, distribution = policy.actor, "squashed"
         hidden, mean = actor.latent_pi, actor.mu
     layer = actor.features_extractor
-    if not isinstance(layer, (FlattenExtractor, ViewLayer)):
-        raise ValueError(f"policy must see the observation or one of our views, got {layer}")
-    view: View = layer.view if isinstance(layer, ViewLayer) else "arm"
-    return export_network(hidden, mean, actor.log_std, distribution), view
+    if not isinstance(layer, (FlattenExtractor, FlatObservation)):
+        raise ValueError(f"policy must see the observation as it is, got {layer}")
+    return export_network(hidden, mean, actor.log_std, distribution)
 
 
 def export_network(

@@ -161,8 +161,9 @@ class Training:
         Raises:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
-        network, view = export_policy(model.policy)
-        return network, {"view": view, "base_agent": getattr(model.get_env(), "base_agent", "")}
+        return export_policy(model.policy), {
+            "base_agent": getattr(model.get_env(), "base_agent", "")
+        }
 
     def find_checkpoint(self) -> dict[str, Any] | None:
         """Return the head of the checkpoint; None if there is none.  Refuse another training's."""
@@ -241,6 +242,7 @@ class Training:
             versions=library_versions(),
             scores={},
             learning_curve=[],
+            view="arm",
             engine=read_attribute(self._env, "engine"),
             body=read_attribute(self._env, "unperturbed"),
             **inputs,

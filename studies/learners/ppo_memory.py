@@ -385,7 +385,7 @@ class TaughtTraining(Training):
         network = export_network(hidden, mean, policy.student_log_std, "gaussian")
         memory = unwrap_vec_wrapper(model.get_env(), Memory)  # type: ignore[arg-type]
         assert memory is not None
-        return network, {"view": "arm", "base_agent": "", "blocks": memory.blocks}
+        return network, {"base_agent": "", "blocks": memory.blocks}
 
 
 def taught_recipe(steps: int | None = None, **changes: Any) -> Recipe:

@@ -4,8 +4,8 @@
     python -m studies.learners.train_all --names ppo sac
 
 A policy that is in the folder, with the same hyperparameters, is not trained again.  An interrupted
-run resumes.  `ppo_position.py` and `ppo_residual.py` have what `ppo-position` and `ppo-residual`
-need; `studies.learners.ppo_memory` trains `ppo-memory`.
+run resumes.  `ppo_residual.py` has what `ppo-residual` needs; `studies.learners.ppo_memory` trains
+`ppo-memory`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PolicyCard, file_stem, load_policy
 from mmc_gym.training import hyperparameters
 from mmc_gym.training.training import Training
-from studies.learners import ppo_position, ppo_residual
+from studies.learners.ppo_residual import HYPERPARAMETERS
 
-OF_STUDIES = {one.HYPERPARAMETERS.stem: one.HYPERPARAMETERS for one in (ppo_position, ppo_residual)}
+OF_STUDIES = {HYPERPARAMETERS.stem: HYPERPARAMETERS}
 
 
 @dataclass(frozen=True)

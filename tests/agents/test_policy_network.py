@@ -8,19 +8,17 @@ from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
-from mmc_gym.agents.policy_network import History, PolicyNetwork, features, turned_actions
+from mmc_gym.agents.policy_network import History, PolicyNetwork
 from mmc_gym.interface import ObservationLayout
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy, export_policy
-from studies.learners.ppo_position import PPOTargetPolicy
 
 ENV_IDS = {
     "ActorCriticPolicy": "MMCReach-v0",  # PPO's "MlpPolicy", as are SACPolicy and TQCPolicy theirs
-    "PPOTargetPolicy": "MMCReach-v0",
     "SACPolicy": "MMCReach-v0",
     "TQCPolicy": "MMCReach-v0",
     "TQCGoalPolicy": "MMCReachGoal-v0",
 }
-POLICIES = (ActorCriticPolicy, PPOTargetPolicy, SACPolicy, TQCPolicy, TQCGoalPolicy)
+POLICIES = (ActorCriticPolicy, SACPolicy, TQCPolicy, TQCGoalPolicy)
 KINDS = {kind.__name__: kind for kind in POLICIES}
 
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
@@ -48,13 +46,8 @@ def observations(env_id, count=20):
     return observed
 
 
-def act(network, view, observed, random=None):
-    action = network.act(seen(observed, view), random)
-    return turned_actions(np, action, observed, LAYOUT) if view == "target" else action
-
-
-def seen(observed, view="arm"):
-    return features(np, view, observed, LAYOUT).astype(np.float32)
+def act(network, observed, random=None):
+    return network.act(LAYOUT.flatten(observed).astype(np.float32), random)
 
 
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
@@ -63,60 +56,33 @@ def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
     policy = make_policy(name, env_id, activation_fn=activation)
     observed = observations(env_id)
     expected, _ = policy.predict(observed, deterministic=True)
-    network, view = export_policy(policy)
-    actual = act(network, view, observed)
+    actual = act(export_policy(policy), observed)
     np.testing.assert_allclose(actual, expected, atol=2e-6)
     assert np.abs(actual).max() <= 1.0
     assert actual.dtype == np.float32
 
 
-@pytest.mark.parametrize("name", ["PPOTargetPolicy", "SACPolicy"])
+@pytest.mark.parametrize("name", ["ActorCriticPolicy", "SACPolicy"])
 def test_exploring_it_draws_from_the_same_distribution(name):
     policy = make_policy(name, "MMCReach-v0")
-    network, view = export_policy(policy)
+    network = export_policy(policy)
     many = np.repeat(observations("MMCReach-v0", 1), 20_000, axis=0)
     torch.manual_seed(0)
     expected, _ = policy.predict(many, deterministic=False)
-    actual = act(network, view, many, np.random.default_rng(0))
+    actual = act(network, many, np.random.default_rng(0))
     np.testing.assert_allclose(actual.mean(0), expected.mean(0), atol=0.02)
     np.testing.assert_allclose(actual.std(0), expected.std(0), atol=0.02)
-
-
-def test_actions_turned_and_turned_back_are_what_they_were():
-    observed = observations("MMCReach-v0")
-    actions = np.random.default_rng(1).uniform(-1, 1, (20, 3)).astype(np.float32)
-    turned = turned_actions(np, actions, observed, LAYOUT)
-    assert np.abs(turned).max() <= 1
-    assert not np.allclose(turned, actions, atol=0.1)
-    back = turned_actions(np, turned, observed, LAYOUT, back=True)
-    np.testing.assert_allclose(back, actions, atol=1e-6)
-    tensors = torch.from_numpy(actions), torch.from_numpy(observed)
-    np.testing.assert_allclose(turned_actions(torch, *tensors, LAYOUT), turned, atol=1e-6)
-    observed[0, 9:11] = 0.0  # a target at the base has any direction
-    assert np.isfinite(seen(observed, "target")).all()
-    assert np.isfinite(turned_actions(np, actions, observed, LAYOUT)).all()
-
-
-def test_probabilities_are_those_of_the_actions_before_they_were_turned():
-    policy = make_policy("PPOTargetPolicy", "MMCReach-v0", log_std_init=-3.0)
-    observed = torch.from_numpy(observations("MMCReach-v0"))
-    actions, values, expected = policy(observed)
-    again, actual, _ = policy.evaluate_actions(observed, actions)
-    within = policy.get_distribution(observed).distribution.mean[:, 0].abs() < 0.8
-    assert within.sum() > 5
-    torch.testing.assert_close(actual[within], expected[within], atol=1e-3, rtol=1e-3)
-    torch.testing.assert_close(again, values)
 
 
 def test_a_policy_that_sees_something_else_is_refused():
     env = gym.make("MMCReachGoal-v0")
     policy = MultiInputActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3)
-    with pytest.raises(ValueError, match="policy must see the observation or one of our views"):
+    with pytest.raises(ValueError, match="policy must see the observation as it is"):
         export_policy(policy)
 
 
 def test_tensors_that_do_not_fit_are_errors():
-    tensors = dict(export_policy(make_policy("ActorCriticPolicy", "MMCReach-v0"))[0].tensors)
+    tensors = dict(export_policy(make_policy("ActorCriticPolicy", "MMCReach-v0")).tensors)
     lacking = {name: value for name, value in tensors.items() if name != "mean.bias"}
     for changed, message in (
         (lacking, "tensors must have 'mean.bias'"),

@@ -67,12 +67,12 @@ def test_how_an_agent_was_trained(sources, steps, said):
 
 def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
     network, card = load_policy(PRETRAINED / "ppo-0.json")
-    save_policy(network, replace(card, name="mine", view="target"), tmp_path)
+    save_policy(network, replace(card, name="mine"), tmp_path)
     path = tmp_path / "mine-0.json"
     one = identify(policies(str(path)))
     assert (one.name, one.knowledge.kind) == ("", "yours")
     assert one.knowledge.lengths.startswith("not given")
-    assert one.knowledge.senses.startswith("all joint angles")
+    assert one.knowledge.senses.startswith("posture, joint speeds")
     assert len(one.cards) == 1
     path.unlink()  # what it was is in the store
     assert (one.knowledge.kind, one.cards) == ("yours", ())
