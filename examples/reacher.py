@@ -74,5 +74,5 @@ INTERFACE = ReacherInterface(
 )
 
 if __name__ == "__main__":
-    agents = ["mmc-body", "ik-body", "ik-closed-form"]
+    agents = ["mmc-body", "ik-body", "ik-dls"]
     print(mmc_gym.compare(agents, "Reacher-v5", episodes=20, interface=INTERFACE))

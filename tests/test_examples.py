@@ -29,7 +29,7 @@ SHOWS = {
     "arm/plot_locked_joint.py": r"mmc: [12]\d% .*\nmmc-body: [6-9]\d%",
     "arm/plot_million_arms.py": r"1,000,000 networks.*4\d\.\d% of 2,000 arms",
     "arm/plot_own_task.py": r"mmc: 0\.2\d segment lengths behind.*ppo: 0\.0\d",
-    "bodies/plot_longer_reacher.py": r"mmc-body: 0\.[0-4] mm .*closed-form: 2\d\.\d mm",
+    "bodies/plot_longer_reacher.py": r"mmc-body: 0\.[0-4] mm .*ik-dls: 2\d\.\d mm",
     "bodies/plot_locked_panda.py": r"mmc-body: .* is 0\.00\d m .*loops: .* is 0\.0[5-9]",
     "bodies/plot_settling_in_space.py": r"[67] of 8 hands within 1 mm.*by up to [4-6]\.",
     "comparing/plot_benchmark_with_pandas.py": r"rotation-10 +0\.0+ +0\.0+ +(1\.0|0\.[89])",

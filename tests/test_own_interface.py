@@ -221,7 +221,7 @@ def test_mmc_body_earns_what_the_environment_asks_for_without_training(tmp_path)
 def test_a_changed_body_is_identified(body, tmp_path):
     success, mean_return = played("mmc-body", body, tmp_path)
     assert success > 0.9
-    assert mean_return > played("ik-closed-form", body, tmp_path)[1] + 0.3
+    assert mean_return > played("ik-dls", body, tmp_path)[1] + 0.3
 
 
 def test_the_servo_is_the_solution_of_the_riccati_equation():

@@ -26,7 +26,7 @@ with tempfile.TemporaryDirectory() as folder:
 # The last two numbers of an observation are the vector from the target to the hand, in metres.
 
 distances = {}
-for name in ("mmc-body", "ik-body", "ik-closed-form"):
+for name in ("mmc-body", "ik-body", "ik-dls"):
     agent = make_agent(name, env, interface="examples.reacher:INTERFACE")
     distances[name] = np.zeros((20, 51))
     for seed, row in enumerate(distances[name]):

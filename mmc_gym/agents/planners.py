@@ -28,14 +28,13 @@ trajectory formation and temporal interaction of reach and grasp, J. Motor Behav
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from typing_extensions import override
 
 from mmc_gym.agents.base import JointTargetAgent, where
-from mmc_gym.agents.inverse_kinematics import damped_step, hand_position, iterate
+from mmc_gym.agents.inverse_kinematics import hand_position, iterate
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import Sensed
 
@@ -44,10 +43,9 @@ AVERAGE_SPEED = 4.0  #: v̄: growth of distance with duration, segment lengths /
 NEW_TARGET_DISTANCE = 0.3  #: a target that moves farther in a control step has jumped, lengths
 HORIZON = 5  #: least number of control steps that remain while the target moves
 ITERATIONS = 3  #: iterations of inverse kinematics in a control step
-
-# The plan moves only a fraction of a length in a step.  So it needs less damping than a solver
-# alone, which keeps the hand on the path.
-_track = partial(damped_step, damping=0.05)
+#: λ of inverse kinematics: the plan moves only a fraction of a length in a step, so it needs less
+#: than a solver alone, which keeps the hand on the path
+DAMPING = 0.05
 
 
 class MovementTiming(NamedTuple):
@@ -121,7 +119,8 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
         movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
         limits = self.interface.joint_limits
-        posture = iterate(_track, state.joint_angles, plan.position, lengths, ITERATIONS, limits)
+        goal, before = plan.position, state.joint_angles
+        posture = iterate(before, goal, lengths, ITERATIONS, limits, DAMPING)
         return posture, MinimumJerkState(plan, step(movement), posture)
 
 

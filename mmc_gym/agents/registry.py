@@ -143,7 +143,7 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ik-dls": AgentEntry(
         "inverse kinematics by damped least squares",
-        "inverse_kinematics:damped_least_squares_agent",
+        "inverse_kinematics:InverseKinematicsAgent",
         Knowledge("inverse kinematics"),
     ),
     **_trained("ppo", "PPO of stable-baselines3", 10),
@@ -171,11 +171,6 @@ AGENTS: dict[str, AgentEntry] = {
         "base:RandomAgent",
         Knowledge("baseline", "not given", "not given", "nothing"),
         draws_actions=True,
-    ),
-    "ik-closed-form": AgentEntry(
-        "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
-        "inverse_kinematics:closed_form_agent",
-        Knowledge("inverse kinematics"),
     ),
     "mmc-bell": AgentEntry(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",

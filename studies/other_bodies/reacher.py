@@ -34,6 +34,9 @@ from scipy.optimize import minimize
 
 from examples.reacher import GEAR, INTERFACE, ReacherInterface
 from mmc_gym import make_agent
+from mmc_gym.agents.base import JointTargetAgent
+from mmc_gym.agents.inverse_kinematics import leave_line
+from mmc_gym.geometry import nearest_reachable, wrap_angle
 from mmc_gym.measures import episode_seeds
 from studies.tables import table_of
 
@@ -117,6 +120,42 @@ class Arguments:
     out: Path = Path("runs/reacher")  # folder for the results
 
 
+class ClosedForm(JointTargetAgent[Floats]):
+    """Inverse kinematics in closed form of two links, by the solution nearest to the last one.
+
+    |w| is the target's distance.  Of two solutions, the one that the joint limits allow is taken.
+
+        tan²(q₂/2) = ((ℓ₁ + ℓ₂)² − |w|²) / (|w|² − (ℓ₁ − ℓ₂)²)
+        q₁ = ∠w − ∠(ℓ₁ + ℓ₂ cos q₂, ℓ₂ sin q₂)
+    """
+
+    def start(self, sensed: Any) -> Floats:
+        """Begin with the sensed posture."""
+        return sensed.joint_angles  # type: ignore[no-any-return]
+
+    def advance(self, state: Floats, sensed: Any) -> tuple[Floats, Floats]:
+        """Return the joint targets (..., 2), twice."""
+        lengths = self.interface.segment_lengths
+        first, second = lengths
+        target = nearest_reachable(sensed.target, lengths)
+        distance = np.hypot(target[..., 0], target[..., 1])
+        short = (first + second - distance) * (first + second + distance)
+        long = (distance - abs(first - second)) * (distance + abs(first - second))
+        elbow = 2 * np.arctan2(np.sqrt(np.maximum(short, 0.0)), np.sqrt(np.maximum(long, 0.0)))
+        bearing = np.arctan2(target[..., 1], target[..., 0])
+        offset = np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
+        ways = (bearing - offset, elbow), (bearing + offset, -elbow)
+        found = np.stack([np.stack(way, axis=-1) for way in ways], axis=-2)
+        low, high = np.transpose(self.interface.joint_limits)
+        within = (low + high) / 2 + wrap_angle(found - (low + high) / 2)
+        allowed = np.clip(within, low, high)
+        changes = allowed - leave_line(state, target, lengths)[..., None, :]
+        beyond = np.abs(within - allowed).max(axis=-1) > 1e-9
+        nearest = ((changes**2).sum(axis=-1) + 1e3 * beyond).argmin(axis=-1)
+        chosen = np.take_along_axis(allowed, nearest[..., None, None], axis=-2)[..., 0, :]
+        return chosen, chosen
+
+
 class TwoConstants(ReacherInterface):
     """A servo of two constants, tuned by hand: torque = 0.3 x - 0.05 q'."""
 
@@ -136,8 +175,8 @@ def make(name: str, env: Any, sac: Path) -> Any:
         return SAC.load(sac / f"sac_{name[4:].replace('k', '000')}.zip", device="cpu")
     if name == "ik, pd":
         given = {one.name: getattr(INTERFACE, one.name) for one in fields(INTERFACE)}
-        return make_agent("ik-closed-form", env, interface=TwoConstants(**given))
-    return make_agent("ik-closed-form" if name == "ik" else name, env, interface=INTERFACE)
+        return ClosedForm(TwoConstants(**given))
+    return ClosedForm(INTERFACE) if name == "ik" else make_agent(name, env, interface=INTERFACE)
 
 
 def play(agent: Any, envs: list[Any], seeds: list[int]) -> pd.DataFrame:

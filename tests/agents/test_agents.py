@@ -16,7 +16,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.parts import Parts
-from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_step
+from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
 from mmc_gym.agents.policy import shipped_file
 from mmc_gym.envs.names import FAMILIES
@@ -109,8 +109,7 @@ def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name):
         observations, *_ = envs.step(actions)
     resumed, _ = predict(observations, state)
     fresh, fresh_state = predict(observations)
-    if name != "ik-closed-form":  # done after one step, and would restart from the same posture
-        assert not np.array_equal(fresh[1], resumed[1])
+    assert not np.array_equal(fresh[1], resumed[1])
     restarted, state = predict(observations, state, [False, True, False])
     np.testing.assert_array_equal(restarted, [resumed[0], fresh[1], resumed[2]])
     after = [predict(observations, one)[0] for one in (state, fresh_state)]
@@ -253,9 +252,8 @@ def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind_and_other
         env_id = "MMCReachGoal-v0" if control == "joint_velocity" else "MMCReach-v0"
         assert success_rate(name, 40, env_id, control=control) >= least
     for lengths in ((1.0, 1.0), (2.0, 1.0, 0.5), (2.0, 1.0, 0.5, 0.25), (0.5,) * 7):
-        if name != "ik-closed-form" or len(lengths) <= 3:
-            rate = success_rate(name, 40, segment_lengths=lengths, success_distance=0.1)
-            assert rate >= (0.4 if name == "mmc-classical" else 0.9)
+        rate = success_rate(name, 40, segment_lengths=lengths, success_distance=0.1)
+        assert rate >= (0.4 if name == "mmc-classical" else 0.9)
 
 
 TORQUE = {"control": "joint_torque"}
@@ -263,7 +261,6 @@ UNFIT = [
     *((name, TORQUE, "control must be") for name in JOINT_TARGET_AGENTS),
     ("ppo", TORQUE, "control must be"),
     *((name, {"segment_lengths": (1.0,)}, "two segments or more") for name in ("mmc", "mmc-body")),
-    ("ik-closed-form", {"segment_lengths": (1.0,) * 4}, "segment_lengths must be 1, 2 or 3"),
     ("ppo", {"segment_lengths": (1.0,) * 2}, "3 segments"),
 ]
 
@@ -310,7 +307,7 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         (lambda it: MMCAgent(it, "mmc"), "network"),
         (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network"),
         (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step"),
-        (lambda it: InverseKinematicsAgent(it, damped_step, 0), "iterations_per_step"),
+        (lambda it: InverseKinematicsAgent(it, 0), "iterations_per_step"),
         (lambda it: Parts(find_locks=True), "did you mean 'finds_locks'"),
         (lambda it: Parts(vigour=1.5), "vigour"),
     ],

@@ -107,7 +107,7 @@ def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
 
 def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     console = Console(file=io.StringIO(), width=80)
-    manifest = benchmark(["mmc", "ik-closed-form"], tmp_path, ["random"], episodes=2, jobs=1)
+    manifest = benchmark(["mmc", "mmc-classical"], tmp_path, ["random"], episodes=2, jobs=1)
     lost = NotPlayed(
         agent="mmc", training_seed=None, environment="pursuit", status="failed", reason="died"
     )
@@ -115,7 +115,7 @@ def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     print_ranking(console, tmp_path)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
-    (row,) = [line for line in lines if " ik-closed-form " in line]
+    (row,) = [line for line in lines if " mmc-classical " in line]
     assert lines[lines.index(row) + 1].count("]") == 3
     assert "failed: mmc in pursuit: died" in lines[-1]
-    assert set(pd.read_csv(tmp_path / RANKING)["agent"]) == {"mmc", "ik-closed-form"}
+    assert set(pd.read_csv(tmp_path / RANKING)["agent"]) == {"mmc", "mmc-classical"}
