@@ -113,13 +113,13 @@ def _require_few(count: int, what: str) -> None:
         raise ValueError(f"it must have at most {YAML_MOST:,} {what}, got {count:,}")
 
 
-def read_yaml_file(path: Path, loader: type[YamlLoader] = YamlLoader) -> Any:
+def read_yaml_file(path: Path) -> Any:
     """Return what a YAML file holds, see `read_yaml`."""
     _require_few(path.stat().st_size, "characters")
-    return read_yaml(path.read_text(encoding="utf-8"), loader)
+    return read_yaml(path.read_text(encoding="utf-8"))
 
 
-def read_yaml(text: str, loader: type[YamlLoader] = YamlLoader) -> Any:
+def read_yaml(text: str) -> Any:
     """Return what a YAML text holds; no code in it is run.
 
     Raises:
@@ -127,7 +127,7 @@ def read_yaml(text: str, loader: type[YamlLoader] = YamlLoader) -> Any:
             deeply, or has more than `YAML_MOST` values.
     """
     try:
-        return yaml.load(text, Loader=loader)
+        return yaml.load(text, Loader=YamlLoader)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
     except Exception as error:  # whatever "!!float 5e" or a date that cannot be raises

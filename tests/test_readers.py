@@ -13,7 +13,6 @@ import yaml
 import mmc_gym
 from mmc_gym import UserError
 from mmc_gym._files import YAML_MOST, read_yaml
-from mmc_gym.agents import resolve
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
 from mmc_gym.benchmark import store
@@ -119,16 +118,6 @@ def test_a_card_of_a_policy_imports_nothing(bait, tmp_path):
     (tmp_path / card.name).write_text(json.dumps(entries))
     with pytest.raises(UserError, match="its card"):
         load_policy(tmp_path / card.name)
-
-
-def test_rl_zoo3s_files_import_nothing(bait, tmp_path):
-    (tmp_path / "args.yml").write_text(
-        "!!python/object/apply:collections.OrderedDict\n- - - env\n    - bait:Bait-v0\n"
-        "  - - made\n    - !!python/object/apply:bait.make []\n"
-    )
-    with zipfile.ZipFile(tmp_path / "mine.zip", "w") as archive:
-        archive.writestr("data", json.dumps({"policy_class": {}, "action_space": {}}))
-    assert resolve(str(tmp_path / "mine.zip")).model.control is None
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
         agent: a name or path as above, a model of stable-baselines3, or another object with
             `predict`.  Or a function or class: called with the environment it returns such an
             object, or else called with an observation it returns an action.  "ppo" is its training
-            of seed 0.  Folders are those that `mmc-gym train` and rl_zoo3 write.  Modules are found
+            of seed 0.  Modules are found
             in the working directory, too.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.

@@ -1,11 +1,11 @@
-"""Models of stable-baselines3 as agents: objects, zip files, and folders of rl_zoo3.
+"""Models of stable-baselines3 as agents: objects, and zip files.
 
 A model acts as it was trained: on observations normalized by the statistics of its `VecNormalize`,
 and in the control mode of its environment, as far as that is known.
 
 A zip file holds pickles, and so does a file of `VecNormalize`: loading one runs whatever code it
-names.  They are loaded only if the user allows it.  The seed, the number of steps and the YAML
-files of rl_zoo3 are read without running code.
+names.  They are loaded only if the user allows it.  The seed and the number of steps are read
+without running code.
 """
 
 from __future__ import annotations
@@ -16,28 +16,23 @@ import io
 import json
 import lzma
 import pickle
-import re
 import sys
 import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError
-from mmc_gym._files import YamlLoader, read_yaml_file
 from mmc_gym.agents.base import (
-    HARMLESS,
     Agent,
     Started,
     changes_contract,
@@ -45,7 +40,6 @@ from mmc_gym.agents.base import (
     wrappers_of,
 )
 from mmc_gym.interface import (
-    CONTROLS,
     CannotActError,
     Control,
     ControlError,
@@ -216,14 +210,11 @@ def _missing(wanted: tuple[str, ...], here: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A zip file of stable-baselines3, with the files of its folder.
-
-    These may be the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
-    args.yml, config.yml and vecnormalize.pkl.
-    """
+    """A zip file of stable-baselines3, with the statistics of its `VecNormalize` in its folder."""
 
     path: Path  #: of the file
     allow_pickle: bool = False  #: whether its pickles may be loaded
+    control: ClassVar[Control | None] = None  #: no entry of the file says it
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
@@ -244,23 +235,10 @@ class SavedModel:
             ) from error
         return facts
 
-    @cached_property
-    def recipe(self) -> dict[str, Any]:
-        """The entries of rl_zoo3's config.yml and args.yml; no more than env_kwargs without."""
-        near = {path.name: path for path in self._near()}
-        found: dict[str, Any] = {}
-        env_kwargs: dict[str, Any] = {}
-        for name in ("config.yml", "args.yml"):
-            entries = _read_yaml(near[name]) if name in near else {}
-            found |= entries
-            if isinstance(entries.get("env_kwargs"), dict):
-                env_kwargs |= entries["env_kwargs"]
-        return found | {"env_kwargs": env_kwargs}
-
     @property
     def training_seed(self) -> int | None:
         """The seed of its training; None if it is not known."""
-        seed = self.recipe.get("seed", self.facts.get("seed"))
+        seed = self.facts.get("seed")
         return seed if isinstance(seed, int) and seed >= 0 else None
 
     @property
@@ -269,48 +247,12 @@ class SavedModel:
         steps = self.facts.get("num_timesteps")
         return steps if isinstance(steps, int) else None
 
-    @property
-    def control(self) -> Control | None:
-        """The control mode that it was trained in; None if it is not known."""
-        return self.trained_in.control
-
-    @cached_property
-    def trained_in(self) -> TrainingEnvironment:
-        """The environment as rl_zoo3's files describe it; unknown without them.
-
-        One of this package is made, to read its default control mode and its arm.  Others are not:
-        that might import any module.  Of them only a control mode in the files is known.
-        """
-        control = self.recipe["env_kwargs"].get("control")
-        known = TrainingEnvironment(control if control in CONTROLS else None)
-        spec = gym.registry.get(str(self.recipe.get("env")))
-        if spec is not None and str(spec.entry_point).startswith("mmc_gym."):
-            try:
-                with closing(gym.make(spec, **self.recipe["env_kwargs"])) as env:
-                    known = TrainingEnvironment.of(env)
-            except (TypeError, ValueError):  # another version took these arguments
-                pass
-        names = ("env_wrapper", "vec_env_wrapper", "frame_stack")
-        wrappers = [f"{name} {self.recipe[name]}" for name in names if self._has(name)]
-        return known._replace(wrappers=tuple(wrappers))
-
-    def _has(self, name: str) -> bool:
-        """Return whether rl_zoo3's files have an entry, other than names of harmless wrappers.
-
-        It is a name, a mapping from names to arguments, or a list of these.
-        """
-        entry = self.recipe.get(name)
-        named: list[Any] = []
-        for each in entry if isinstance(entry, list) else [entry]:
-            named += each if isinstance(each, dict) else [each]
-        return any(one and str(one).rpartition(".")[2] not in HARMLESS for one in named)
-
     @cached_property
     def statistics(self) -> Path | None:
         """The file with the statistics of its `VecNormalize`; None if it has none."""
         if self.facts.get(_ORIGINAL) is None:
             return None
-        pickles = [file for file in self._near() if file.suffix == ".pkl"]
+        pickles = [file for file in self.path.parent.glob("*.pkl") if file.is_file()]
         # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
         # model_vecnormalize_1000_steps.pkl of model_1000_steps.zip.
         own = [one for one in pickles if one.stem.replace("_vecnormalize", "") == self.path.stem]
@@ -331,17 +273,19 @@ class SavedModel:
     def load(self) -> ModelAgent:
         """Load the model, if pickles are allowed: that runs the code that they name."""
         _ = self.facts  # read first: it names a missing or wrong file
-        if self.statistics is None and self._was_normalized is None:
-            message = (
-                f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
-                "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
-            )
-            warnings.warn(message, MismatchWarning, stacklevel=2)
-        elif self.statistics is None and self._was_normalized:
-            raise UserError(
-                f"{self.path} must have the statistics of its VecNormalize in its folder, as "
-                "env.save('vecnormalize.pkl') writes them, got none"
-            )
+        if self.statistics is None and self.facts.get(_ORIGINAL) is not None:
+            # Every off-policy training has this entry, others only behind VecNormalize.
+            if "gae_lambda" not in self.facts:
+                message = (
+                    f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
+                    "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
+                )
+                warnings.warn(message, MismatchWarning, stacklevel=2)
+            else:
+                raise UserError(
+                    f"{self.path} must have the statistics of its VecNormalize in its folder, as "
+                    "env.save('vecnormalize.pkl') writes them, got none"
+                )
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
@@ -361,22 +305,8 @@ class SavedModel:
             normalizer,
             label=self.path.name,
             training_steps=self.training_steps or 0,
-            trained_in=self.trained_in,
+            trained_in=TrainingEnvironment(),
         )
-
-    @property
-    def _was_normalized(self) -> bool | None:
-        """Whether it was trained behind `VecNormalize`; None if no readable entry says so."""
-        said = self.recipe.get("normalize")
-        if said:
-            return re.search(r"norm_obs\W+False", str(said)) is None
-        if self.facts.get(_ORIGINAL) is None:
-            return False
-        if "gae_lambda" in self.facts:
-            return True
-        # Every off-policy training has this entry, and of these only rl_zoo3's files say more.
-        has_recipe = len(self.recipe) > 1
-        return False if has_recipe else None
 
     def _load_policy(self) -> Any:
         from stable_baselines3.common.save_util import load_from_zip_file
@@ -394,39 +324,8 @@ class SavedModel:
         policy.load_state_dict(weights["policy"])
         return policy
 
-    def _near(self) -> list[Path]:
-        """Return the files of its folder, and those of the folder that rl_zoo3 writes in it."""
-        folder = self.path.parent
-        inside = [one.parent for one in folder.glob("*/args.yml")]
-        return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
-
-
-class _PlainLoader(YamlLoader):
-    """Read files of rl_zoo3: ordered mappings as plain ones; other objects are None, never made."""
-
-
-def _plain(loader: yaml.SafeLoader, suffix: str, node: Any) -> Any:
-    if suffix == "object/apply:collections.OrderedDict":
-        return dict(*loader.construct_sequence(node, deep=True))
-    return loader.construct_sequence(node, deep=True) if suffix == "tuple" else None
-
-
-_PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
-
-
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        found = read_yaml_file(path, _PlainLoader)
-    except ValueError as error:
-        raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
-    return found if isinstance(found, dict) else {}
-
 
 def models_in(folder: Path) -> list[Path]:
-    """Return the zip files of models in a folder.
-
-    Of those that rl_zoo3 writes it is best_model.zip or else the model at the end of training.
-    """
+    """Return the zip files of models in a folder; of a callback's, best_model.zip alone."""
     best = folder / "best_model.zip"
-    found = [best] if best.is_file() else sorted(folder.glob(f"*{SUFFIX}"))
-    return [one for one in found if (one.with_suffix("") / "args.yml").is_file()] or found
+    return [best] if best.is_file() else sorted(folder.glob(f"*{SUFFIX}"))

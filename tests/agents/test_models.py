@@ -2,12 +2,10 @@
 
 import shutil
 import zipfile
-from collections import OrderedDict
 
 import gymnasium as gym
 import numpy as np
 import pytest
-import yaml
 from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_util import make_vec_env
@@ -44,20 +42,6 @@ def folder(tmp_path, model):
     model.save(tmp_path / "model")
     model.get_env().save(str(tmp_path / "vec_normalize.pkl"))
     return tmp_path
-
-
-@pytest.fixture
-def run(folder):
-    """The folder that rl_zoo3 writes."""
-    inside = folder / "MMCReach-v0"
-    inside.mkdir()
-    (folder / "vec_normalize.pkl").rename(inside / "vecnormalize.pkl")
-    (folder / "model.zip").rename(folder / "MMCReach-v0.zip")
-    arguments = OrderedDict(env="MMCReach-v0", env_kwargs={"control": CONTROL}, seed=7)
-    config = OrderedDict(normalize="{'norm_obs': True}", policy="MlpPolicy")
-    (inside / "args.yml").write_text(yaml.dump(arguments))
-    (inside / "config.yml").write_text(yaml.dump(config))
-    return folder
 
 
 @pytest.fixture
@@ -100,12 +84,12 @@ def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatc
             compare([source], episodes=1)
 
 
-def test_a_model_acts_in_the_control_mode_of_its_training_alone(model, run):
+def test_a_model_acts_in_the_control_mode_of_its_training_alone(model):
     other = gym.make("MMCReach-v0", control="joint_torque")
     with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
         mmc_gym.make_agent(model, other)
-    found = compare({"object": model, "mmc": "mmc", "run": run}, episodes=1, allow_pickle=True)
-    assert found.controls == {"object": CONTROL, "mmc": "joint_position", "run": CONTROL}
+    found = compare({"object": model, "mmc": "mmc"}, episodes=1)
+    assert found.controls == {"object": CONTROL, "mmc": "joint_position"}
 
 
 def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(folder, tmp_path):
@@ -124,33 +108,6 @@ def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(fold
         benchmark([bare], tmp_path / "store", ["random"], 1, jobs=1, allow_pickle=True)
     (cell,) = kept_cells(tmp_path / "store").values()
     assert cell.facts["control"] == "joint_delta"
-
-
-def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
-    found = resolve(str(run), allow_pickle=True)
-    assert (found.label, found.training_seed, found.control) == (run.name, 7, CONTROL)
-    assert acts_as(model, found.factory(env), env)
-    shutil.copy(run / "MMCReach-v0.zip", run / "best_model.zip")
-    assert resolve(str(run)).model.path.name == "best_model.zip"
-    inside = run / "MMCReach-v0"
-    (inside / "vecnormalize.pkl").unlink()
-    (inside / "config.yml").write_text("{frame_stack: 4}")
-    with pytest.raises(UserError, match="the statistics of its VecNormalize in its folder"):
-        resolve(str(run)).check()
-
-
-def test_nothing_that_files_of_rl_zoo3_name_is_made_or_imported(run, monkeypatch):
-    (run / "evilmod.py").write_text(f"import os; os.mkdir('{run}/made')")
-    monkeypatch.syspath_prepend(run)
-    path = run / "MMCReach-v0" / "args.yml"
-    for content, control in (
-        (f"!!python/object/apply:os.mkdir [{run}/made]", None),
-        ("{env: 'evilmod:Env-v0', env_kwargs: {control: joint_torque}}", "joint_torque"),
-    ):
-        path.write_text(content)
-        assert resolve(str(run)).control == control
-    assert resolve(str(run), allow_pickle=True).training_seed == 5
-    assert not (run / "made").exists()
 
 
 @pytest.mark.parametrize("steps", ["", "_1000_steps"])
@@ -182,19 +139,6 @@ def test_missing_wrappers_are_warned_of_or_refused(env):
     assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
 
 
-def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env):
-    config = run / "MMCReach-v0" / "config.yml"
-    config.write_text("{env_wrapper: gymnasium.wrappers.TimeLimit}")
-    assert resolve(str(run), allow_pickle=True).factory(env)
-    for entry, message in {
-        "frame_stack: 4": "env must be wrapped in frame_stack 4, as in the training of MMC",
-        "env_wrapper: [own.Wrapper: {scale: 2}]": "env must be wrapped in env_wrapper",
-    }.items():
-        config.write_text(f"{{{entry}}}")
-        with pytest.raises(CannotActError, match=message):
-            resolve(str(run), allow_pickle=True).factory(env)
-
-
 OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
 
 
@@ -209,6 +153,17 @@ def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, e
         np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
 
 
+def test_a_model_without_the_statistics_of_its_training_is_refused(folder):
+    (folder / "vec_normalize.pkl").unlink()
+    with pytest.raises(UserError, match="the statistics of its VecNormalize in its folder"):
+        resolve(folder / "model.zip").check()
+
+
+def test_a_folder_with_a_best_model_is_that_model(folder):
+    shutil.copy(folder / "model.zip", folder / "best_model.zip")
+    assert resolve(str(folder)).model.path.name == "best_model.zip"
+
+
 def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
     trained().save(tmp_path / "plain")
     model.get_env().save(str(tmp_path / "vecnormalize.pkl"))
@@ -216,24 +171,11 @@ def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
 
 
 def test_a_file_that_does_not_tell_of_statistics_is_warned_of(tmp_path, env):
-    """Those of off-policy algorithms do not, unless rl_zoo3's files are in the folder."""
-
-    def make():
-        return mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
-
+    """Those of off-policy algorithms do not."""
     envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
     SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
     with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
-        make()
-    (tmp_path / "recipe").mkdir()
-    (tmp_path / "recipe" / "args.yml").write_text("{env: MMCReach-v0}")
-    config = tmp_path / "recipe" / "config.yml"
-    config.write_text("{normalize: true}")
-    with pytest.raises(UserError, match="must have the statistics of its VecNormalize"):
-        make()
-    config.write_text("{policy: MlpPolicy}")
-    with pytest.raises(ControlError):
-        make()  # known to be not normalized, and the control mode is that of the recipe
+        mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
 
 
 def test_another_arm_is_warned_of_and_other_observations_are_refused(env):
