@@ -76,23 +76,16 @@ def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
 
 
 def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Floats:
-    """Return targets (..., 2 or 3); those out of reach are moved to the nearest point within.
+    """Return targets (..., 2); those out of reach are moved to the nearest point within.
 
     >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
     array([3., 0.])
     """
     inner, outer = reachable_radii(segment_lengths)
-    is_plane = target.shape[-1] == 2
     distance = np.hypot(target[..., 0], target[..., 1])
-    if not is_plane:
-        distance = np.hypot(distance, target[..., 2])
     outside = (distance < inner) | (distance > outer)
     if not outside.any():
         return target
-    if not is_plane:
-        ahead = np.where(distance[..., None] > 0, target, np.eye(3, dtype=target.dtype)[0])
-        scale = np.clip(distance, inner, outer) / np.where(distance > 0, distance, 1)
-        return np.where(outside[..., None], scale[..., None] * ahead, target)
     bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
     radius = np.clip(distance, inner, outer)
     nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)

@@ -1,4 +1,4 @@
-"""The kinematic chain in plane or space: its nodes, the vectors between them, and their triangles.
+"""The kinematic chain: its nodes, the vectors between them, and their triangles.
 
 A chain of N segments has the nodes p_0 (base) … p_N (end effector), and one vector
 v_ij = p_j − p_i for every i < j: the segments L_i = v_{i−1,i}, the diagonals D, and the
@@ -61,7 +61,7 @@ def triangle_products(segment_count: int) -> NDArray[np.float64]:
 
 
 def chain_vectors(segments: Floats) -> Floats:
-    """Return all vectors v_ij of a chain, (..., N(N+1)/2, 2 or 3), from segments (..., N, 2 or 3).
+    """Return all vectors v_ij of a chain, (..., N(N+1)/2, 2), from segments (..., N, 2).
 
     They are in the order of `vector_pairs`.
     """
@@ -72,13 +72,3 @@ def chain_vectors(segments: Floats) -> Floats:
 
 BEND = 0.02
 """Angle by which each joint of a straight arm is bent if it could not leave the line, rad."""
-
-
-def bent(segments: Floats) -> Floats:
-    """Return segments in space (..., N, 3) in one line, with each joint bent by `BEND`."""
-    sizes = np.linalg.norm(segments, axis=-1, keepdims=True)
-    first = segments[..., :1, :] / sizes[..., :1, :]
-    side = np.cross(first, np.eye(3)[np.abs(first).argmin(axis=-1)])  # some direction across
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    angle = BEND * np.arange(1, segments.shape[-2] + 1)[:, None]
-    return (np.cos(angle) * segments + np.sin(angle) * sizes * side).astype(segments.dtype)

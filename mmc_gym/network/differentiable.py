@@ -19,7 +19,7 @@ from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
 from mmc_gym.network.iteration import held_rows, linear_operator
-from mmc_gym.network.model import MMCNetwork, require_plane
+from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
 
 _STRAIGHT = 64  # roundings within which vectors are in one line
@@ -91,7 +91,6 @@ class TorchNetwork(torch.nn.Module):
     #: Takes vectors (n, 2, batch) and lengths (n, 1), returns vectors so long; you may replace it.
     normalizer: torch.nn.Module
     triangles: Tensor
-    dimensions = 2
 
     def __init__(
         self,
@@ -104,7 +103,6 @@ class TorchNetwork(torch.nn.Module):
         network = MMCNetwork() if network is None else network
         dtype = torch.get_default_dtype() if dtype is None else dtype
         require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
-        require_plane(network)
         self.segment_count, self.row_count = network.segment_count, network.row_count
         self.dynamics, self.schedule = network.dynamics, network.schedule
 

@@ -37,7 +37,7 @@ from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.geometry import Floats
 from mmc_gym.network.chain import triangle_products
 from mmc_gym.network.iteration import cached_iteration, velocity_rule
-from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, require_plane
+from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its span
@@ -77,7 +77,6 @@ def embodied_run(
     ([-1.0, 1.5], 0.6)
     """
     require(isinstance(body, Embodiment), "body", body, "an Embodiment")
-    require_plane(network)
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     values = network.hold(state, clamps).values
     batch, count = values.shape[2:], network.segment_count

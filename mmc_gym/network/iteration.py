@@ -39,24 +39,24 @@ class Iteration:
         self.lengths: Floats = np.array(network.segment_lengths, dtype=dtype)[free, None]
 
     def __call__(self, values: Floats, times: int) -> None:
-        """Iterate a state (rows, axes, batch) in place; its clamped rows have their values."""
-        rows, axes, batch = values.shape
+        """Iterate a state (rows, 2, batch) in place; its clamped rows have their values."""
+        rows, _, batch = values.shape
         for start in range(0, batch, _BLOCK):
             block = values[:, :, start : start + _BLOCK]
             now = block.reshape(rows, -1)
             following = np.empty_like(now)
             for _ in range(times):
                 if self._is_delayed:
-                    self._normalize(now, axes)
+                    self._normalize(now)
                 self.operator.dot(now, following)
                 now, following = following, now
                 if not self._is_delayed:
-                    self._normalize(now, axes)
+                    self._normalize(now)
             block[:] = now.reshape(block.shape)
 
-    def _normalize(self, values: Floats, axes: int) -> None:
+    def _normalize(self, values: Floats) -> None:
         segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
-        shape = -1, axes, values.shape[1] // axes
+        shape = -1, 2, values.shape[1] // 2
         self._normalizer.normalize_rows(segments.reshape(shape), self.lengths)
         values[self.normalized] = segments
 
@@ -134,7 +134,7 @@ def held_rows(
             turned = pair[::-1] if isinstance(pair, tuple) else ()
             guess = f"{turned} with the opposite sign" if turned in pairs else ""
             raise unknown("clamp", pair, pairs, guess=guess)
-        held[pairs.index(pair)] = read(f"clamp {pair}", value, (network.dimensions,))
+        held[pairs.index(pair)] = read(f"clamp {pair}", value, (2,))
     if network.schedule == "delayed":  # the pending value of a clamped segment is held as well
         segments = [row for row in held if row < network.segment_count]
         held |= {len(pairs) + row: held[row] for row in segments}

@@ -25,8 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property, reduce
-from itertools import combinations
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -54,7 +53,7 @@ from mmc_gym.geometry import (
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
 from mmc_gym.network.iteration import cached_iteration, held_rows
-from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
+from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 
 if TYPE_CHECKING:  # numpy is all that the network needs
     from matplotlib.axes import Axes
@@ -74,9 +73,9 @@ class MMCState:
     The properties show them with the batch first, without a copy.
     """
 
-    #: one row per variable with the batch on the last axes, (rows, 2, ...), or (rows, 3, ...) in
-    #: space: the chain's vectors, then the segments that await their normalization (schedule
-    #: "delayed" only), then the segment velocities (dynamic networks only)
+    #: one row per variable with the batch on the last axes, (rows, 2, ...): the chain's vectors,
+    #: then the segments that await their normalization (schedule "delayed" only), then the segment
+    #: velocities (dynamic networks only)
     values: Floats
     segment_count: int  #: N
 
@@ -93,8 +92,7 @@ class MMCState:
 
     @property
     def joint_angles(self) -> Floats:
-        """Relative joint angles of the segments in ]−π, π], shape (..., N); in the plane only."""
-        require(self.values.shape[1] == 2, "state", "one in space", "in the plane")
+        """Relative joint angles of the segments in ]−π, π], shape (..., N)."""
         return joint_angles_from_segments(self.segments)
 
     @property
@@ -139,9 +137,6 @@ class Trajectory(NamedTuple):
         """
         from mmc_gym._plotting import plot_postures
 
-        axes_count = self.segments.shape[-1]
-        require(axes_count == 2, "segments", f"{axes_count} dimensions", "in the plane to be drawn")
-
         segments = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
         last = self.state.vectors[..., -1, :].reshape(-1, 2)
         return plot_postures(node_positions(segments), last, axes)
@@ -152,9 +147,7 @@ class Trajectory(NamedTuple):
 class MMCNetwork:
     """Description of an MMC network for an arm of N ≥ 2 segments; it holds no state.
 
-    Its joints are hinges in the plane, and ball joints in space.  What has the shape (..., 2) has
-    (..., 3) there, and postures are given by `state_from_segments`.  For arms of hinges in space
-    there is `HingeNetwork`.
+    For arms in space there is `mmc_gym.robots.HingeNetwork`.
 
     It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
     part needs a single iteration.  A smaller d is refused.
@@ -164,12 +157,6 @@ class MMCNetwork:
     >>> state = network.run(state, network.inverse([-1.0, 1.5]), iterations=100)
     >>> state.end_effector.round(2).tolist()
     [-1.0, 1.5]
-
-    >>> network = MMCNetwork(dimensions=3)
-    >>> state = network.state_from_segments([[1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    >>> state = network.run(state, network.inverse([-1.0, 1.5, 0.5]), iterations=100)
-    >>> state.end_effector.round(2).tolist()
-    [-1.0, 1.5, 0.5]
     """
 
     segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)  #: N positive lengths
@@ -183,7 +170,6 @@ class MMCNetwork:
     #: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
     velocity_decay: float = 0.92
     schedule: Schedule = "synchronous"  #: "synchronous" or "delayed"
-    dimensions: int = 2  #: 2; or 3, with the Euclidean normalizer
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"
@@ -203,10 +189,6 @@ class MMCNetwork:
         require_number("velocity_damping", value, accepted, lambda d_v: least <= d_v < np.inf)
         value = self.velocity_decay
         require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
-        require(self.dimensions in (2, 3), "dimensions", self.dimensions, "2 or 3")
-        if self.dimensions == 3:
-            fine = not isinstance(self.normalizer, LearnedNormalizer)
-            require(fine, "normalizer", self.normalizer, "Euclidean for 3 dimensions")
 
     @property
     def segment_count(self) -> int:
@@ -219,7 +201,6 @@ class MMCNetwork:
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
-        require_plane(self)
         angles = require_floats("joint_angles", joint_angles, (self.segment_count,))
         return self.state_from_segments(segments_from_joint_angles(angles, self.segment_lengths))
 
@@ -229,7 +210,7 @@ class MMCNetwork:
         The segments are not normalized before the first iteration.  float32 is kept; anything else
         becomes float64.
         """
-        segments = require_floats("segments", segments, (self.segment_count, self.dimensions))
+        segments = require_floats("segments", segments, (self.segment_count, 2))
         parts = [chain.chain_vectors(segments)]
         if self.schedule == "delayed":
             parts.append(segments)
@@ -241,14 +222,14 @@ class MMCNetwork:
     def inverse(self, target: ArrayLike) -> Clamps:
         """Hold the end effector at `target` (..., 2): the inverse task."""
         # As `clamp`, but three times as fast: agents call it in every control step.
-        target = require_floats("target", target, (self.dimensions,))
+        target = require_floats("target", target, (2,))
         batch = range(target.ndim - 1)
         values = target.transpose(target.ndim - 1, *batch).copy()[None]
         return Clamps((self._hand_row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
         """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
-        segments = require_floats("segments", segments, (self.segment_count, self.dimensions))
+        segments = require_floats("segments", segments, (self.segment_count, 2))
         return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
 
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
@@ -333,10 +314,6 @@ class MMCNetwork:
             if count not in (self.segment_count, NO_CLAMPS.segment_count):
                 accepted = f"of {self.segment_count} segments, as this network is"
                 raise UserError(f"{name} must be {accepted}, got {count} segments")
-        for name, given in (("state", state.values), ("clamps", clamps.values)):
-            if len(given) and given.shape[1] != self.dimensions:
-                accepted = f"of {self.dimensions} dimensions, as this network is"
-                raise UserError(f"{name} must be {accepted}, got {given.shape[1]}")
         if len(state.values) != self.row_count:
             raise UserError(
                 f"state must come from a network of dynamics {self.dynamics!r} and schedule "
@@ -355,7 +332,7 @@ class MMCNetwork:
         return count * (count + 1) // 2 + count * blocks
 
     def _bend_where_stuck(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
-        """Return states (rows, axes, ...), bent where they could never leave the line they lie in.
+        """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
 
         Only states with a new target are examined.
         """
@@ -372,21 +349,16 @@ class MMCNetwork:
             return values
         target = nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
-        is_away = reduce(np.hypot, np.moveaxis(way, -1, 0)) > 1e-3 * sum(lengths)
+        is_away = np.hypot(way[..., 0], way[..., 1]) > 1e-3 * sum(lengths)
         is_stuck = is_straight & _are_in_line(first, clamped, least) & is_away
-        posture = MMCState(values, count)
-        if self.dimensions == 3:
-            bent = self.state_from_segments(chain.bent(posture.segments))
-        else:
-            bent = self.state_from_joint_angles(posture.joint_angles + chain.BEND)
+        bent = self.state_from_joint_angles(MMCState(values, count).joint_angles + chain.BEND)
         return np.where(is_stuck, bent.values, values)
 
 
 def _are_in_line(first: Floats, others: Floats, least: float) -> NDArray[np.bool_]:
-    """Return whether vectors (n, axes, ...) are in one line with the first (axes, ...)."""
-    pairs = combinations(range(len(first)), 2)
-    across = [np.abs(first[a] * others[:, b] - first[b] * others[:, a]) for a, b in pairs]
-    in_line: NDArray[np.bool_] = (reduce(np.hypot, across) <= least).all(axis=0)
+    """Return whether vectors (n, 2, ...) are in one line with the first (2, ...)."""
+    across = np.abs(first[0] * others[:, 1] - first[1] * others[:, 0])
+    in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
     return in_line
 
 
@@ -395,11 +367,6 @@ def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     rows, axes, *own = values.shape
     missing = (1,) * (len(batch) - len(own))
     return np.broadcast_to(values.reshape(rows, axes, *missing, *own), (rows, axes, *batch))
-
-
-def require_plane(network: MMCNetwork) -> None:
-    """Raise a `UserError` for a network in space."""
-    require(network.dimensions == 2, "dimensions", network.dimensions, "2 for this")
 
 
 def _are_lengths(numbers: tuple[float, ...]) -> bool:

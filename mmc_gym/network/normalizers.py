@@ -39,8 +39,7 @@ class Normalizer(ABC):
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
         """Normalize vectors in place.
 
-        They have the batch last, (n, 2, batch), or (n, 3, batch) in space.  The wanted lengths are
-        of the same dtype, (n, 1) or (n, batch).
+        They have the batch last, (n, 2, batch).  Lengths are of the same dtype, (n, 1) or (n, batch).
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
@@ -56,7 +55,7 @@ class Normalizer(ABC):
 
 
 class EuclideanNormalizer(Normalizer):
-    """L = ℓ · L̃ / |L̃|, exact, in the plane and in space.
+    """L = ℓ · L̃ / |L̃|, exact.
 
     The zero vector becomes (ℓ, 0), as atan2(0, 0) = 0 says.
     """
@@ -67,8 +66,6 @@ class EuclideanNormalizer(Normalizer):
         rows[:, 0] += _NUDGE[rows.dtype.char]
         squares = rows * rows
         scale = squares[:, 0] + squares[:, 1]
-        if rows.shape[1] == 3:
-            scale += squares[:, 2]
         np.sqrt(scale, out=scale)
         np.divide(lengths, scale, out=scale)
         np.multiply(rows, scale[:, None], out=rows)

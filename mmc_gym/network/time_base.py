@@ -47,7 +47,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import require, require_array
 from mmc_gym.geometry import Floats
 from mmc_gym.network.chain import triangle_products
-from mmc_gym.network.model import MMCNetwork, MMCState, require_plane
+from mmc_gym.network.model import MMCNetwork, MMCState
 
 CORRECTIONS = 4  #: steps that correct the gain of an iteration
 
@@ -158,6 +158,5 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
 
 
 def _check(network: MMCNetwork) -> None:
-    require_plane(network)
     fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
     require(fine, "network", network, "kinematic and synchronous to follow a time base")

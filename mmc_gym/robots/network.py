@@ -37,7 +37,7 @@ of hinges in a plane, do, and need d > n/2.  (The bound of `MMCNetwork` is (N + 
 
 So this shares the vectors, their triangles, clamps, damping and velocity with `MMCNetwork`, but it
 averages over hinges, where `MMCNetwork` averages over triangles and then normalizes each segment.
-For ball joints that works in space too: `MMCNetwork(dimensions=3)`.
+For ball joints that works in space, too.
 """
 
 from __future__ import annotations

@@ -8,10 +8,8 @@ from hypothesis import strategies as st
 from mmc_gym._errors import UserError
 from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain, iteration
-from mmc_gym.network.differentiable import TorchNetwork
 from mmc_gym.network.iteration import linear_operator
 from mmc_gym.network.model import NO_CLAMPS
-from mmc_gym.network.time_base import timed_step
 
 counts = st.integers(2, 8)
 
@@ -281,76 +279,3 @@ def at_rest(network):
 def test_an_impossible_call_is_refused(call, named):
     with pytest.raises(UserError, match=named):
         call(MMCNetwork())
-
-
-LENGTHS = (1.5, 1.0, 0.7, 0.4)
-
-
-def turn(seed=0):
-    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    q *= np.sign(np.diag(r))
-    return q * np.linalg.det(q)
-
-
-def test_a_plane_in_space_is_the_plane(kind):
-    """However it is turned, the network moves in it as the network in the plane does."""
-    plane = MMCNetwork(LENGTHS, damping=6, **kind)
-    space = MMCNetwork(LENGTHS, damping=6, dimensions=3, **kind)
-    angles, target = np.random.default_rng(1).uniform(-1, 1, (5, 4)), np.array([0.5, -1.2])
-    start = plane.state_from_joint_angles(angles)
-    into = turn()[:2]  # the plane's axes in space
-    turned = space.state_from_segments(start.segments @ into)
-    _, expected = plane.trajectory(start, plane.inverse(target), 40)
-    _, found = space.trajectory(turned, space.inverse(target @ into), 40)
-    np.testing.assert_allclose(found, expected @ into, atol=1e-9)
-
-
-def test_it_reaches_points_in_space_with_all_lengths_kept():
-    network = MMCNetwork(LENGTHS, damping=5, dimensions=3)
-    random = np.random.default_rng(2)
-    target = random.uniform(-1.2, 1.2, (50, 3))
-    start = network.state_from_segments(random.normal(size=(50, 4, 3)))
-    end = network.run(start, network.inverse(target), 2000)
-    np.testing.assert_allclose(end.end_effector, target, atol=1e-3)
-    sizes = np.linalg.norm(end.segments, axis=-1)
-    np.testing.assert_allclose(sizes, np.broadcast_to(LENGTHS, (50, 4)), atol=1e-12)
-
-
-@pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, -1], [0.6, 0.0, 0.8]])
-def test_a_stretched_arm_leaves_the_line_of_its_target(direction):
-    network = MMCNetwork(LENGTHS, damping=5, dimensions=3)
-    direction = np.array(direction, dtype=float)
-    state = network.state_from_segments(np.array(LENGTHS)[:, None] * direction)
-    end = network.run(state, network.inverse(1.5 * direction), 300)
-    np.testing.assert_allclose(end.end_effector, 1.5 * direction, atol=1e-3)
-
-
-def test_forward_and_mixed_tasks_in_space():
-    network = MMCNetwork(damping=4, dimensions=3)
-    start, segments = network.state_from_segments(np.eye(3)), np.eye(3)[::-1]
-    end = network.run(start, network.forward(segments), 200)
-    np.testing.assert_allclose(end.vectors[-1], segments.sum(axis=0), atol=1e-6)
-    vectors = {(0, 3): [0.2, 1.0, 0.9], (0, 1): [0.0, 1.0, 0.0]}
-    end = network.run(start, network.clamp(vectors), 500)
-    np.testing.assert_allclose([end.end_effector, end.segments[0]], [*vectors.values()], atol=1e-3)
-
-
-SPACE, IN_SPACE = MMCNetwork(dimensions=3), MMCNetwork(dimensions=3).state_from_segments(np.eye(3))
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda: MMCNetwork(dimensions=4),
-        lambda: MMCNetwork(dimensions=3, normalizer=LEARNED),
-        lambda: SPACE.state_from_joint_angles([0, 0, 0]),
-        lambda: IN_SPACE.joint_angles,
-        lambda: SPACE.inverse([1.0, 1.0]),
-        lambda: MMCNetwork().run(IN_SPACE),
-        lambda: TorchNetwork(SPACE),
-        lambda: timed_step(SPACE, IN_SPACE, [1, 1, 1], 0.1),
-    ],
-)
-def test_what_needs_a_plane_refuses_space(call):
-    with pytest.raises(UserError, match="must be"):
-        call()
