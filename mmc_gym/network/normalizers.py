@@ -39,7 +39,7 @@ class Normalizer(ABC):
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
         """Normalize vectors in place.
 
-        They have the batch last, (n, 2, batch).  Lengths are of the same dtype, (n, 1) or (n, batch).
+        The batch is last, (n, 2, batch).  Lengths are of the same dtype, (n, 1) or (n, batch).
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
