@@ -31,8 +31,7 @@ def half_way_time(episode):
     return int((episode.distances <= episode.distances[0] / 2).argmax()) * episode.control_step
 
 if __name__ == "__main__":
-    cluster = sys.argv[2] if len(sys.argv) > 2 else None
-    benchmark(["mmc", "ik-dls"], Path(sys.argv[1]), ["random"], 3, jobs=2, cluster=cluster)
+    benchmark(["mmc", "ik-dls"], Path(sys.argv[1]), ["random"], 3, jobs=2)
 """
 
 
@@ -49,17 +48,11 @@ def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cluster", [None, "ray"])
-def test_workers_take_the_measures_of_modules_and_scripts(tmp_path, monkeypatch, cluster):
-    if cluster == "ray":
-        pytest.importorskip("ray")
-    monkeypatch.setenv("RAY_ADDRESS", "local")
-    monkeypatch.setenv("RAY_TMPDIR", "/tmp")  # short enough for the names of sockets
-    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+def test_workers_take_the_measures_of_modules_and_scripts(tmp_path):
     (tmp_path / "my_measures.py").write_text(MODULE)
     (tmp_path / "script.py").write_text(SCRIPT)
     store = tmp_path / "store"
-    command = [sys.executable, str(tmp_path / "script.py"), str(store), *filter(None, [cluster])]
+    command = [sys.executable, str(tmp_path / "script.py"), str(store)]
     subprocess.run(command, check=True, timeout=300)
     episodes = read_episodes(store)
     assert episodes["steps_to_move"].notna().all() and episodes["half_way_time"].gt(0).all()
@@ -67,8 +60,7 @@ def test_workers_take_the_measures_of_modules_and_scripts(tmp_path, monkeypatch,
     # A report needs the store alone, not the code of the measures.
     page = write_report(store, store / "report.html", resamples=50).read_text()
     assert "half-way time" in page and "steps to move" in page
-    if cluster is None:
-        changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
-        (tmp_path / "my_measures.py").write_text(changed)
-        subprocess.run(command, check=True, timeout=300)
-        assert read_episodes(store)["steps_to_move"].eq(-1).all()  # it is taken anew
+    changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
+    (tmp_path / "my_measures.py").write_text(changed)
+    subprocess.run(command, check=True, timeout=300)
+    assert read_episodes(store)["steps_to_move"].eq(-1).all()  # it is taken anew
