@@ -488,7 +488,6 @@ def record(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
-    _open_streams()
     try:
         try:
             _run(list(sys.argv[1:] if arguments is None else arguments))
@@ -496,7 +495,7 @@ def main(arguments: list[str] | None = None) -> None:
             _flush()
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         raise SystemExit(1) from None
-    except (KeyboardInterrupt, UserError, OSError, MemoryError, CellError) as error:
+    except (KeyboardInterrupt, UserError, OSError, CellError) as error:
         if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2
@@ -504,16 +503,11 @@ def main(arguments: list[str] | None = None) -> None:
             message, status = "interrupted", 130
         elif isinstance(error, CellError):
             message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1
-        elif isinstance(error, MemoryError):
-            message = f"not enough memory. {message}"
         _print_line(message)
         raise SystemExit(status) from error
 
 
 def _run(arguments: list[str]) -> None:
-    for text in arguments:
-        is_utf8 = text.isascii() or text.encode(errors="replace").decode() == text
-        require(is_utf8, "arguments", text, "in UTF-8")
     if arguments == ["--version"]:
         print(f"mmc-gym {version('mmc-gym')}")
         return
@@ -524,15 +518,6 @@ def _run(arguments: list[str]) -> None:
         tyro.extras.subcommand_cli_from_dict(
             _commands, prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config
         )
-
-
-def _open_streams() -> None:
-    """Open standard streams that are closed, as by `>&-`, to the null device: workers need them."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115
-            os.set_inheritable(stream.fileno(), True)
-            setattr(sys, name, stream)
 
 
 def _flush() -> None:

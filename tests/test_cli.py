@@ -50,19 +50,12 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
         main(["benchmark"])
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "line"),
-    [
-        (KeyboardInterrupt(), 130, "interrupted"),
-        (MemoryError("Unable to allocate 9 TiB"), 2, "not enough memory. Unable to allocate 9 TiB"),
-    ],
-)
-def test_an_interruption_or_too_little_memory_is_one_line(error, status, line, monkeypatch, capsys):
-    monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=error))
+def test_an_interruption_is_one_line(monkeypatch, capsys):
+    monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=KeyboardInterrupt()))
     with pytest.raises(SystemExit) as stop:
         main(["report"])
-    assert stop.value.code == status
-    assert capsys.readouterr().err == f"mmc-gym: {line}\n"
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "mmc-gym: interrupted\n"
     monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=ValueError("a defect")))
     with pytest.raises(ValueError, match="a defect"):  # not the user's: it has its traceback
         main(["report"])
@@ -74,7 +67,6 @@ def test_an_interruption_or_too_little_memory_is_one_line(error, status, line, m
         (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["list", "agents", "--import", "../.."], "import must be the name of a module"),
-        (["compare", "--agents", "\udcff=mmc"], "arguments must be in UTF-8, got '\\udcff=mmc'"),
         (["compare", "--episodes", "9" * 20], f"episodes must be at most 1000000, got {'9' * 20}"),
         ([*ENV_KWARGS, "x=2020-99-99"], "month must be in 1..12"),
         *(
@@ -135,16 +127,6 @@ def test_a_full_disk_under_the_output_is_one_line(command):
     )
     assert done.returncode == 2
     assert done.stderr == "mmc-gym: [Errno 28] No space left on device: 'standard output'\n"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
-def test_workers_start_where_a_standard_stream_is_closed(tmp_path, closed):
-    options = f"--agents mmc random --scenarios random --episodes 2 --jobs 2 --out {tmp_path}"
-    script = f"{sys.executable} -m mmc_gym.cli benchmark {options} {closed}"
-    done = subprocess.run(script, shell=True, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "ranking.csv").exists()
 
 
 def test_version_and_completion_are_printed_and_help_says_so(capsys):

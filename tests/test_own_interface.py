@@ -167,7 +167,7 @@ def test_agents_are_compared_and_what_the_environment_does_not_say_is_left_out(c
     assert "within 0.1" in found.note
     returns = found.episodes.loc[found.episodes["agent"] == "mine", "episode_return"]
     assert list(returns) == [-80.0] * 3
-    assert found.episodes["hand_over_joint_straightness"].notna().any()
+    assert found.episodes["maximal_deviation"].notna().any()
     assert (out / "paths_and_profiles.png").stat().st_size > 1_000
 
 

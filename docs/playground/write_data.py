@@ -36,7 +36,7 @@ def page_data() -> dict[str, Any]:
     network, card = load_policy(shipped_file("ppo", 0))
     if (card.control, card.base_agent) != ("joint_delta", ""):
         raise ValueError(f"the page cannot show {card.control}, {card.base_agent!r}")
-    names = [*(f"hidden.{k}" for k in range(len(network.hidden_units))), "mean"]
+    names = [*(f"hidden.{k}" for k in range(len(network.tensors) // 2 - 1)), "mean"]
     default = {field.name: field.default for field in fields(MMCNetwork)}
     arm = ArmParameters()
     return {

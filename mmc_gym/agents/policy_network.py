@@ -59,42 +59,20 @@ class PolicyNetwork:
 
         Tensors are float32: "hidden.K.weight" (out, in) and "hidden.K.bias" (out,) for each layer K
         from 0, "mean.weight" and "mean.bias", and either "log_std" (actions,) or "log_std.weight"
-        and "log_std.bias".  Other names or shapes raise a ValueError.
+        and "log_std.bias".  A missing one raises a ValueError.
         """
         depth = sum(name.startswith("hidden.") for name in tensors) // 2
-        hidden = [f"hidden.{index}" for index in range(depth)]
-        try:
-            self.input_size: int = tensors["hidden.0.weight"].shape[-1]
-            self.hidden_units = tuple(len(tensors[f"{layer}.bias"]) for layer in hidden)
-            self.action_size = len(tensors["mean.bias"])
-        except KeyError as error:
-            raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None
-        has_constant_spread = "log_std" in tensors
-        shapes = self._shapes(has_constant_spread)
-        found = {name: one.shape for name, one in tensors.items() if one.dtype == np.float32}
-        if found != shapes:
-            raise ValueError(f"tensors must be float32 of shapes {shapes}, got {found}")
         self.tensors = dict(tensors)
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
-        self._hidden = [_Layer.named(layer, tensors) for layer in hidden]
-        self._mean = _Layer.named("mean", tensors)
-        self._log_std = None if has_constant_spread else _Layer.named("log_std", tensors)
-
-    def _shapes(self, has_constant_spread: bool) -> dict[str, tuple[int, ...]]:
-        """Return the shape of each tensor of a network of these sizes."""
-        shapes: dict[str, tuple[int, ...]] = {}
-        if has_constant_spread:
-            shapes["log_std"] = (self.action_size,)
-        inputs = self.input_size
-        for index, outputs in enumerate(self.hidden_units):
-            shapes[f"hidden.{index}.weight"] = (outputs, inputs)
-            shapes[f"hidden.{index}.bias"] = (outputs,)
-            inputs = outputs
-        for head in ["mean"] if has_constant_spread else ["mean", "log_std"]:
-            shapes[f"{head}.weight"] = (self.action_size, inputs)
-            shapes[f"{head}.bias"] = (self.action_size,)
-        return shapes
+        try:
+            self._hidden = [_Layer.named(f"hidden.{layer}", tensors) for layer in range(depth)]
+            self._mean = _Layer.named("mean", tensors)
+            is_constant = "log_std" in tensors
+            self._log_std = None if is_constant else _Layer.named("log_std", tensors)
+            self.input_size: int = tensors["hidden.0.weight"].shape[-1]
+        except KeyError as error:
+            raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None
 
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
         """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).

@@ -76,11 +76,6 @@ class Episode:
         """Speeds in the steps of the `movement`, (m,)."""
         return self.speeds[self.movement]
 
-    @property
-    def movement_points(self) -> slice:
-        """Indices of the m + 1 positions before, between and after the steps of the `movement`."""
-        return slice(self.movement.start, self.movement.stop + 1)
-
 
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
     """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T, (steps,).

@@ -169,21 +169,3 @@ def maximal_deviation(episode: Episode) -> float:
     if np.linalg.norm(hands[-1] - hands[0]) < episode.tolerance:
         return math.nan
     return linearity_index(hands)
-
-
-@measure(label="straighter in hand than in joint space", successes_only=True)
-def hand_over_joint_straightness(episode: Episode) -> float:
-    """Return how much straighter the movement is in hand space (1) than in joint space (−1).
-
-    (d_joints − d_hand) / (d_joints + d_hand), where d is the `linearity_index` of the path in
-    each space while the hand moves.  0 if both are equally bent; NaN if the hand or the joints
-    end where they began, and without joints.
-
-    On planning movements in hand or in joint space: Morasso (1981), Exp. Brain Res. 42,
-    223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
-    """
-    points = episode.movement_points
-    of_hand = linearity_index(episode.hands[points])
-    of_joints = linearity_index(episode.joint_angles[points])
-    total = of_hand + of_joints
-    return (of_joints - of_hand) / total if total != 0.0 else math.nan

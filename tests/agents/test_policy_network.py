@@ -81,17 +81,11 @@ def test_a_policy_that_sees_something_else_is_refused():
         export_policy(policy)
 
 
-def test_tensors_that_do_not_fit_are_errors():
+def test_a_missing_tensor_is_named():
     tensors = dict(export_policy(make_policy("ActorCriticPolicy", "MMCReach-v0")).tensors)
-    lacking = {name: value for name, value in tensors.items() if name != "mean.bias"}
-    for changed, message in (
-        (lacking, "tensors must have 'mean.bias'"),
-        (tensors | {"log_std": np.zeros(2, np.float32)}, r"{'log_std': \(3,\).*got .*\(2,\)"),
-        (tensors | {"mean.bias": np.zeros(3)}, "tensors must be float32"),
-        (tensors | {"surplus": np.zeros(3, np.float32)}, "tensors must be float32"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            PolicyNetwork(changed, "relu", "gaussian")
+    del tensors["mean.bias"]
+    with pytest.raises(ValueError, match=r"tensors must have 'mean\.bias'"):
+        PolicyNetwork(tensors, "relu", "gaussian")
 
 
 def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():

@@ -145,7 +145,6 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
         "jitter": math.nan,  # nor for the half second of rest
         "path_ratio": 1.0,
         "maximal_deviation": 0.0,
-        "hand_over_joint_straightness": 1.0,
         "peak_speed": 5.0,
         "peak_to_mean": 1.0,
         "time_to_peak": 0.25,

@@ -100,22 +100,6 @@ def hands_of(joint_angles):
     return segments_from_joint_angles(joint_angles, (1.0, 1.0, 1.0)).sum(axis=-2)
 
 
-def test_a_line_in_hand_space_differs_from_one_in_joint_space(make_episode):
-    joint_angles = np.linspace([0.2, 0.5, 0.9], [1.4, 1.5, 0.3], 100)
-    bent = joint_angles + np.sin(np.linspace(0, math.pi, 100))[:, None] * [0.2, -0.1, 0.0]
-    hands = hands_of(joint_angles)
-    line = np.linspace(hands[0], hands[-1], 100)
-
-    def straighter_in_hand_space(hands, joint_angles):
-        episode = make_episode(hands, hands[-1], joint_angles=joint_angles)
-        return reaching.hand_over_joint_straightness(episode)
-
-    assert straighter_in_hand_space(hands, joint_angles) == pytest.approx(-1)
-    assert straighter_in_hand_space(line, bent) == pytest.approx(1)
-    assert -1 < straighter_in_hand_space(hands_of(bent), bent) < 1
-    assert math.isnan(straighter_in_hand_space(line, np.zeros((100, 0))))
-
-
 STEP = 0.02
 
 
