@@ -3,7 +3,7 @@
     rank          by success, the mean over environments of the fraction of episodes (of all
                   training seeds) that end at the target; agents with the same success by time to
                   target, the mean over environments of its median over the episodes that have one
-    settled       part of an episode in which the hand stays at the target, its interquartile mean:
+    settled       part of an episode in which the hand stays at the target, its mean:
                   1 − time to target / duration, 0 if it never stays; NaN in an environment that
                   says that a hand arrives, but not when
     improvement   probability that the agent's policy is settled for longer than the baseline's in
@@ -219,7 +219,7 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         f"{one['environments']} environments{partly}, {one['instances']} instances for each "
         "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
         "that end at the target, each environment weighing the same; then by time to target (mean "
-        "of medians). settled: interquartile mean of the part of an episode after which the hand "
+        "of medians). settled: mean of the part of an episode after which the hand "
         f"stays at the target.{better} Intervals: 95 % bootstrap over training seeds and "
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "

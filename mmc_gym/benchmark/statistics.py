@@ -42,12 +42,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
 from scipy.special import ndtr, stdtrit
 
 from mmc_gym.measures.catalogue import Measure, Statistic
@@ -59,32 +58,8 @@ RESAMPLES = 2_000  # by default
 
 COLUMNS = ["agent", "training_seed", "environment", "instance"]
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
-_BATCH, _COLUMNS = 250, 1_000  # resamples, or columns, at once: bound the memory
+_COLUMNS = 1_000  # at once: bounds the memory
 _linspace = lru_cache(maxsize=32)(np.linspace)  # of each number of resamples
-
-PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
-"""Mean or interquartile mean of all episodes of an agent; or their median in one environment."""
-
-
-def weighted_iqm(values: Floats, weights: Floats) -> Floats:
-    """Return the interquartile mean, the mean of the middle half of the weight.
-
-    Values at the quartiles count in part.  It is nearly as robust as the median and nearly as
-    precise as the mean.  From sorted values (k,) and their weights in R resamples, (R, k): (R,).
-
-    >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
-    array([3.5])
-    """
-    if values.size == 0:
-        return np.full(len(weights), np.nan)
-    total = np.cumsum(weights, axis=-1)
-    whole = total[:, -1:].copy()
-    inside = np.clip(total, 0.25 * whole, 0.75 * whole, out=total)
-    parts = np.diff(inside, axis=-1, prepend=0.25 * whole)
-    with np.errstate(invalid="ignore"):
-        mean = parts @ values / (0.5 * whole[:, 0])
-    clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding may leave the range
-    return clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +187,11 @@ class Bootstrap:
         """
         return cls(arrange(frame, [value])[value], resamples, seed)
 
-    def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
-        """Estimate a statistic of an agent over its training seeds and all instances."""
+    def estimate(self, agent: str, statistic: Statistic = "mean") -> Estimate:
+        """Estimate a statistic of an agent over its training seeds and all instances.
+
+        A median is one of the episodes of a single environment.
+        """
         found = Estimate.of(self.distribution(agent, statistic))
         tables = self.scores.values[agent]
         is_alone = len(tables[0]) == 1 and (len(tables) == 1 or found.low == found.high)
@@ -224,7 +202,7 @@ class Bootstrap:
             return found
         return Estimate(found.estimate, *wilson_interval(found.estimate, max(map(len, known))))
 
-    def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
+    def difference(self, agent: str, other: str, statistic: Statistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""
         one, less = (self.distribution(name, statistic) for name in (agent, other))
         return Estimate.of(one - less)
@@ -274,13 +252,13 @@ class Bootstrap:
             tables = [self.scores.values[agent] for agent in agents]
             yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
 
-    def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
+    def distribution(self, agent: str, statistic: Statistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,).
 
         The resamples of a single value are NaN.
         """
-        resampled = {"mean": self._means, "median": self._medians, "iqm": self._iqms}
-        return self._where_it_varies(resampled[statistic](agent), agent)
+        found = self._means(agent) if statistic == "mean" else self._medians(agent)
+        return self._where_it_varies(found, agent)
 
     def _means(self, agent: str) -> Floats:
         policies = self.policies[agent]
@@ -300,29 +278,6 @@ class Bootstrap:
         number = list(self.scores.values).index(agent)
         resamples = len(self.policies[agent]) - 1
         return _weighted_medians(table, _episode_counts(self._seed, number, table.shape, resamples))
-
-    def _iqms(self, agent: str) -> Floats:
-        """Weigh each distinct value once: times to target are whole steps, so that few differ."""
-        tables, policies = self.scores.values[agent], self.policies[agent]
-        values = np.concatenate([table.ravel() for table in tables])
-        is_known = ~np.isnan(values)
-        distinct, place = np.unique(values[is_known], return_inverse=True)
-        # Environments that share a draw share its columns: one for each policy and instance.
-        sizes = len(policies.T) * np.array(list(self._shares))
-        first = dict(zip(self._shares, np.cumsum(sizes) - sizes))
-        drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
-        times = coo_array(
-            (np.ones(len(place)), (place, drawn)), shape=(len(distinct), sizes.sum())
-        ).tocsr()
-        found = []
-        for begin in range(0, len(policies), _BATCH):
-            rows = slice(begin, begin + _BATCH)
-            of_policies = policies[rows].T[:, None]
-            of_instances = [shares[rows].T for shares in self._shares.values()]
-            each = [np.multiply(of_policies, one, order="C") for one in of_instances]
-            weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
-            found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))
-        return np.concatenate(found)
 
 
 def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) -> Floats:

@@ -57,7 +57,7 @@ def ranking_table(results: Results) -> Table | None:
         headings=(Heading("agent"), Heading("rank"), *shares.values(), time),
         rows=tuple(rows),
         caption=f"Ranked by success over {count(environments, 'scenario')}{partly}, each weighing "
-        "the same, then by time to target (mean of medians). Settled: interquartile mean of the "
+        "the same, then by time to target (mean of medians). Settled: mean of the "
         f"part of an episode after which the hand stays at the target.{explained} In brackets: "
         f"95 % intervals. {results.sample_sizes}",
         title="How good the agents are",

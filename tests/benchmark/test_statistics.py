@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import binomtest, norm, trim_mean
+from scipy.stats import binomtest, norm
 
 from mmc_gym.benchmark.statistics import (
     Bootstrap,
@@ -15,22 +15,7 @@ from mmc_gym.benchmark.statistics import (
     resampled_means,
     sample_interval,
     success_interval,
-    weighted_iqm,
 )
-
-
-def interquartile_mean(values):
-    present = np.sort(np.array(values, dtype=float)[~np.isnan(values)])
-    return float(weighted_iqm(present, np.ones((1, present.size)))[0])
-
-
-def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
-    sample = np.random.default_rng(0).normal(size=400)
-    assert interquartile_mean(sample) == pytest.approx(trim_mean(sample, 0.25))
-    assert interquartile_mean([0, 1, 2, 3, 4, 5, 6, 1e9]) == 3.5
-    values = np.array([0.0] * 40 + [0.1, 0.7])
-    weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
-    assert weighted_iqm(values, weights).min() >= 0
 
 
 @pytest.mark.parametrize("shape", [(5, 1), (1, 50), (10, 40)])
@@ -44,18 +29,6 @@ def test_the_median_of_one_environment_is_that_of_its_resamples(shape, lacking):
     samples = [np.repeat(table[~np.isnan(table)], row) for row in times]
     expected = [np.median(sample) if sample.size else np.nan for sample in samples]
     np.testing.assert_array_equal(bootstrap.distribution("a", "median"), expected)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 8, 13])
-def test_a_whole_weight_counts_as_so_many_equal_values(count):
-    random = np.random.default_rng(count)
-    values = np.sort(random.normal(size=count))
-    weights = random.integers(0, 4, size=(20, count)).astype(float)
-    weights[:, 0] += 1
-    expected = [interquartile_mean(np.repeat(values, row.astype(int))) for row in weights]
-    assert weighted_iqm(values, weights / 7) == pytest.approx(expected)
-    assert np.isnan(weighted_iqm(values, 0 * weights)).all()
-    assert np.isnan(weighted_iqm(values[:0], weights[:, :0])).all()
 
 
 def test_missing_values_are_left_out_and_counted():
@@ -88,7 +61,7 @@ def test_a_value_that_no_draw_can_change_has_no_interval(tables, has_interval):
     agents = {name: values for name in "ab"}
     scores = Scores(tuple(table.shape[1] for table in values), agents, dict.fromkeys(agents, 0))
     bootstrap = Bootstrap(scores, 100)
-    found = [bootstrap.estimate("a", statistic) for statistic in ("mean", "iqm")]
+    found = [bootstrap.estimate("a", "mean")]
     found += [bootstrap.difference("a", "b"), bootstrap.improvement("a", "b")]
     if len(tables) == 1:
         found += [bootstrap.estimate("a", "median"), sample_interval(tables[0], "median")]
@@ -178,8 +151,7 @@ def test_an_agent_without_training_is_resampled_over_instances_alone():
     values = np.random.default_rng(3).normal(size=(1, 400))
     untrained = rows("a", values, seeds=[None])
     found = estimate(untrained)
-    iqm = estimate(untrained, statistic="iqm").estimate
-    assert iqm == pytest.approx(trim_mean(values.ravel(), 0.25))
+    assert found.estimate == pytest.approx(values.mean())
     assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
 
 
