@@ -39,7 +39,8 @@ def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
     assert card.training_steps == card.learning_curve[-1]["steps"]
     assert len(card.learning_curve) >= 20
     options = recipe.settings["policy_kwargs"]
-    assert network.hidden_units == (tuple(options["net_arch"]) if options else (256, 256))
+    sizes = [len(network.tensors[f"hidden.{layer}.bias"]) for layer in range(2)]
+    assert sizes == (options["net_arch"] if options else [256, 256])
     assert {"python", "torch", "stable-baselines3", "mmc-gym"} <= set(card.versions)
 
 
