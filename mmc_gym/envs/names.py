@@ -35,12 +35,14 @@ from mmc_gym.envs.perturbations import (
     CursorGain,
     CursorJump,
     CursorMirror,
+    EndpointFeedback,
     ErrorClamp,
     ForceField,
     Gravity,
     HandMass,
     JointNoise,
     LockedJoint,
+    NoFeedback,
     Obstacles,
     Perturbation,
     SegmentLength,
@@ -94,6 +96,7 @@ class Family:
     make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
     known: bool = False  #: whether agents can be given the change (`-known`)
     whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
+    has_strength: bool = True  #: without, there is one perturbation, and its name has no number
 
     def with_strength(self, strength: float, known: bool = False) -> Change:
         """Return the perturbation of this strength, of which agents know if it is `known`.
@@ -104,6 +107,8 @@ class Family:
         if known and not self.known:
             accepted = ", ".join(one.name for one in FAMILIES.values() if one.known)
             raise UserError(f"'-known' may follow {accepted} only, got it after {self.name!r}")
+        if not self.has_strength and strength != self.default:
+            raise UserError(f"{self.name} takes no strength, got {_digits(strength)}")
         try:
             perturbation = self.make(strength)
         except (UserError, TypeError) as error:
@@ -130,7 +135,8 @@ class Change:
         """Its name for people and files: "longer-35-known"; without a family, its class's."""
         if self.family is None or self.strength is None:
             return type(self.perturbation).__name__
-        return f"{self.family.name}-{_digits(self.strength)}{self.suffix}"
+        number = f"-{_digits(self.strength)}" if self.family.has_strength else ""
+        return f"{self.family.name}{number}{self.suffix}"
 
     @property
     def suffix(self) -> str:
@@ -390,6 +396,22 @@ _FAMILIES = (  # name, unit, description, default, make
     ),
     Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
     Family("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, _vision_delay),
+    Family(
+        "no-feedback",
+        "",
+        "hand not seen after the start",
+        1.0,
+        lambda _: NoFeedback(),
+        has_strength=False,
+    ),
+    Family(
+        "endpoint-feedback",
+        "",
+        "hand seen at the end of the movement only",
+        1.0,
+        lambda _: EndpointFeedback(),
+        has_strength=False,
+    ),
     Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
     Family(
         "gravity", "lengths/s²", "arm hangs in a gravity of {} segment lengths/s²", 60.0, Gravity

@@ -70,7 +70,7 @@ class Perturbation:
     def check_hooks(self) -> None:
         """Raise a `UserError` if the class changes nothing, as with a misspelt method."""
         changes = type(self).change_body is not Perturbation.change_body
-        if not changes and not isinstance(self, Noise | Cursor | Delay):
+        if not changes and not isinstance(self, Noise | Cursor | Delay | Feedback):
             found = nearest("change_body", vars(type(self)))
             raise UserError(
                 f"the perturbation {type(self).__name__} must have a method change_body(self, body)"
@@ -506,6 +506,45 @@ class VisionDelay(Delay):
     """
 
 
+class Feedback(Perturbation, ABC):
+    """The hand is seen at the start, and then at some times only; its last sight stays meanwhile.
+
+    An observation then repeats where the hand, or its cursor, was last seen; `info["is_hand_seen"]`
+    says whether that is now.  The target is always seen.
+    """
+
+    neutral = {"hidden": 0.0}
+    hidden: Any = 1.0  # 1 from when it begins, 0 before
+
+    @abstractmethod
+    def shows(self, ends: Any) -> Any:
+        """Return whether the hand is seen, given whether the movement ends in this step, (n,)."""
+
+
+@spelt
+@dataclass(frozen=True)
+class NoFeedback(Feedback):
+    """The hand is never seen after the start: what was learned shows without corrections."""
+
+    @override
+    def shows(self, ends: Any) -> Any:
+        return ends & False
+
+
+@spelt
+@dataclass(frozen=True)
+class EndpointFeedback(Feedback):
+    """The hand is seen where the movement ended, not on the way, and stays there.
+
+    The movement ends when the hand is slower than 5 % of its peak speed.  People learn from such
+    endpoints, too (Taylor, Krakauer & Ivry 2014, J. Neurosci. 34:3023).
+    """
+
+    @override
+    def shows(self, ends: Any) -> Any:
+        return ends
+
+
 @spelt
 @dataclass(frozen=True)
 class Timed(Perturbation):
@@ -525,7 +564,8 @@ class Timed(Perturbation):
         accepted = "one that can begin within an episode (cursors, senses, loads, force fields)"
         require(bool(neutral), "perturbation", self.perturbation, accepted)
         accepted = f"0, as a {type(self.perturbation).__name__} cannot grow"
-        require(self.over == 0 or "shown" not in neutral, "over", self.over, accepted)
+        can_grow = neutral.keys().isdisjoint(("shown", "hidden"))
+        require(self.over == 0 or can_grow, "over", self.over, accepted)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:

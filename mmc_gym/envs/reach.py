@@ -18,6 +18,7 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
+from mmc_gym.envs.feedback import HandSight
 from mmc_gym.envs.spec import (
     GoalSetup,
     ReachEnvironment,
@@ -139,6 +140,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self.observation_space = setup.observation_space
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step) or setup.is_timed
+        self._has_events = self._has_events or bool(setup.full.feedback)
+        self._hand_sight = HandSight(1, setup.unperturbed.control_step)
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
@@ -315,15 +318,29 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         info["target"] = np.array(target)
         if cursor is not None:
             info["cursor"] = np.array(hand)
-        if setup.noises or setup.vision_delay:
+        if setup.is_sight_disturbed:
             sights = self._sights
             sights.append((hand, target))  # at first fewer than the delay: the first is the start
             hand, target = sights[max(len(sights) - 1 - self._now.vision_delay, 0)]
             state = arm.joint_angles, target, arm.joint_velocities, hand
             true = Seen(*(np.array([each]) for each in state))
-            return setup.observe(true, self._now.noises, [self.np_random])[0], reward, info
+            return self._observe(true, info), reward, info
         seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
         return seen, reward, info
+
+    def _observe(self, true: Seen, info: Info) -> Any:
+        """Return what is seen, with noise and hidden hands; complete `info`."""
+        setup, now, sight = self.setup, self._now, self._hand_sight
+        if not setup.full.feedback:
+            return setup.observe(true, now.noises, [self.np_random])[0]
+        hands, arms, steps = info["end_effector"][None], np.array([0]), np.array([self._steps])
+
+        def look(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+            return sight.look(arms, steps, hands, seen, now.feedback)
+
+        observation = setup.observe(true, now.noises, [self.np_random], look)[0]
+        info["is_hand_seen"] = bool(sight.is_seen[0])
+        return observation
 
     def _seen_hand(self) -> Point:
         """Return the position of the hand, or of the cursor that stands for it."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -35,6 +35,7 @@ from mmc_gym.envs.perturbations import (
     Cursor,
     Cursors,
     Delay,
+    Feedback,
     LockedJoint,
     Noise,
     Perturbation,
@@ -75,6 +76,7 @@ class Disturbance(NamedTuple):
     noises: list[Noise]  #: of senses
     delay: Any  #: of all senses, control steps
     vision_delay: Any  #: of sight, besides `delay`, control steps
+    feedback: list[Feedback]  #: when the hand is seen
 
 
 class State(NamedTuple):
@@ -146,6 +148,8 @@ class ReachSetup:
         self.cursor, self.noises = self.full.cursor, self.full.noises
         self.delay, self.vision_delay = self.full.delay, self.full.vision_delay
         self.are_senses_disturbed = bool(self.noises or self.delay)
+        #: whether an observation shows something else than what is true, or was true before
+        self.is_sight_disturbed = bool(self.noises or self.vision_delay or self.full.feedback)
         for kind, total in ((SensoryDelay, self.delay), (VisionDelay, self.vision_delay)):
             late = [one for one in changes if isinstance(one.untimed, kind) and one.untimed.seconds]
             if late and not total:
@@ -200,7 +204,8 @@ class ReachSetup:
         noises = [one for one in parts if isinstance(one, Noise)]
         cursors = [one for one in parts if isinstance(one, Cursor)]
         cursor = Cursors(tuple(cursors)) if len(cursors) > 1 else next(iter(cursors), None)
-        return Disturbance(cursor, noises, delay(SensoryDelay), delay(VisionDelay))
+        feedback = [one for one in parts if isinstance(one, Feedback)]
+        return Disturbance(cursor, noises, delay(SensoryDelay), delay(VisionDelay), feedback)
 
     def _placed(self, one: Perturbation) -> Perturbation:
         """Return a perturbation; a cursor with its centre."""
@@ -236,9 +241,16 @@ class ReachSetup:
         self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
     def observe(
-        self, seen: Seen, noises: Sequence[Noise], randoms: Sequence[np.random.Generator]
+        self,
+        seen: Seen,
+        noises: Sequence[Noise],
+        randoms: Sequence[np.random.Generator],
+        look: Callable[[Any], NDArray[np.float64]] | None = None,
     ) -> NDArray[np.float32]:
-        """Return observations of n arms, (n, …), with noise from the generator of each."""
+        """Return observations of n arms, (n, …), with noise from the generator of each.
+
+        `look` returns which hands are seen, if they are hidden at times, (n, 2).
+        """
 
         def draw(count: int) -> NDArray[np.float64]:
             return np.stack([random.standard_normal(count) for random in randoms])
@@ -247,6 +259,8 @@ class ReachSetup:
             seen = noise.disturb(seen, draw)
             name = f"what {type(noise).__name__}.disturb returns"
             require(isinstance(seen, Seen), name, seen, "a changed Seen")
+        if look is not None:
+            seen = replace(seen, hand=look(seen.hand))
         speeds = relative_speeds(seen.joint_speeds, self.given_body.speed_limit)
         observation: NDArray[np.float32] = self.layout.encode(
             seen.joint_angles, speeds, hand=seen.hand, target=seen.target
@@ -378,7 +392,7 @@ class GoalSetup(ReachSetup):
     def __init__(self, arguments: ReachArguments) -> None:
         """Raise a `UserError` if the reward would not follow from goals."""
         super().__init__(arguments)
-        if self.noises or self.delay or self.vision_delay or self.task.advance == "reach":
+        if self.is_sight_disturbed or self.delay or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
                 f"no noise, no delay and no via points, got task={self.task}, "

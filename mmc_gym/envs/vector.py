@@ -25,6 +25,7 @@ from mmc_gym._errors import (
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
+from mmc_gym.envs.feedback import HandSight
 from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
 from mmc_gym.envs.spec import (
     Disturbance,
@@ -105,6 +106,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
         # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
         self._sights = np.zeros((setup.vision_delay + 1, num_envs, 2, 2))
+        self._hand_sight = HandSight(num_envs, setup.unperturbed.control_step)
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
@@ -116,6 +118,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             and setup.task.advance == "time"
             and setup.cursor is None
             and not setup.vision_delay
+            and not setup.full.feedback
             and not setup.is_timed
         )
 
@@ -316,7 +319,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
         speeds = relative_speeds(self._body.joint_velocities[arms], setup.given_body.speed_limit)
         observation: Any = None
-        if not (setup.noises or setup.vision_delay):
+        if not setup.is_sight_disturbed:
             angles = self._body.joint_angles[arms]
             observation = setup.layout.encode(angles, speeds, hand=hands, target=targets)
         distance = distances(hands, targets)
@@ -332,7 +335,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Return what these arms observe, noise and late sight included; complete `info`."""
         if self.setup.cursor is not None:
             info["cursor"] = hands
-        if not (self.setup.noises or self.setup.vision_delay):
+        if not self.setup.is_sight_disturbed:
             return observation
         targets = self._targets[arms]
         if self.setup.vision_delay:
@@ -341,7 +344,21 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
         true = Seen(angles, targets, velocities, hands)
         randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
-        return self.setup.observe(true, self._now(arms).noises, randoms)
+        now, of_all = self._now(arms), self._all[arms]
+        if not now.feedback:
+            return self.setup.observe(true, now.noises, randoms)
+        true_hands, steps, sight = (
+            self._body.end_effectors[arms],
+            self._steps[arms],
+            self._hand_sight,
+        )
+
+        def look(seen: Floats) -> Floats:
+            return sight.look(of_all, steps, true_hands, seen, now.feedback)
+
+        observation = self.setup.observe(true, now.noises, randoms, look)
+        info["is_hand_seen"] = sight.is_seen[of_all]
+        return observation
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Tell which arms have their last target: only reaching that one is a success."""

@@ -44,6 +44,7 @@ from mmc_gym.envs.perturbations import (
     CursorJump,
     Delay,
     ErrorClamp,
+    Feedback,
     ForceField,
     Noise,
     Perturbation,
@@ -77,7 +78,8 @@ def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
         if not (turns or isinstance(one, ForceField | CursorJump) or _is_of_senses(change)):
             raise UserError(
                 "must be rotation, clamp, force-field or cursor-jump, which have a measure of "
-                f"learning, or noise or delay; {change.name} may hold in all trials (noise)"
+                "learning, or noise, delay or feedback; "
+                f"{change.name} may hold in all trials (noise)"
             )
     return changes
 
@@ -130,7 +132,7 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
 
 
 def _is_of_senses(change: Change) -> bool:
-    return isinstance(change.untimed, Noise | Delay)
+    return isinstance(change.untimed, Noise | Delay | Feedback)
 
 
 @_explained
@@ -194,6 +196,8 @@ class Block:
             return self.perturbations
         return tuple(
             one.with_strength((one.strength or 0.0) * (trial + 1) / self.trials)
+            if one.family is None or one.family.has_strength
+            else one
             for one in self.perturbations
         )
 

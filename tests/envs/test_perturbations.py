@@ -282,6 +282,31 @@ def test_what_begins_at_the_start_is_always_there_and_what_begins_later_is_not(n
         assert not np.array_equal(seen[2], seen[3])
 
 
+@pytest.mark.parametrize(
+    ("names", "seen_at"),
+    [("no-feedback", []), ("no-feedback-at-0.1", [1, 2, 3, 4]), ("endpoint-feedback", None)],
+)
+def test_a_hidden_hand_repeats_where_it_was_last_seen(names, seen_at):
+    env = MMCReachEnv(task="centre-out", perturbations=[names, "rotation-20"])
+    interface, agent, state = ReachInterface.of(env), make_agent("mmc", env), None
+    observation, info = env.reset(seed=0, options={"trial": 1})
+    hand, found, fastest = info["end_effector"], [], 0.0
+    assert info["is_hand_seen"]
+    last = info["cursor"]
+    for step in range(1, 61):
+        action, state = agent.predict(observation, state, np.array([step == 1]))
+        observation, *_, info = env.step(action)
+        speed, hand = math.dist(info["end_effector"], hand), info["end_effector"]
+        fastest = max(fastest, speed)
+        if info["is_hand_seen"]:
+            last = info["cursor"]
+            found.append(step)
+            assert seen_at or speed < 0.05 * fastest
+        np.testing.assert_allclose(interface.see(observation).hand, last, atol=1e-6)
+        assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
+    assert len(found) == 1 if seen_at is None else found == seen_at
+
+
 def test_the_target_is_in_reach_all_the_time():
     changes = (Timed(CursorMirror(60.0, (0.5, 1.0)), at=1), Timed(CursorGain(2.0), over=1))
     env = MMCReachEnv(perturbations=(*changes, "locked-2", "obstacles-1"))

@@ -64,6 +64,8 @@ VARIANTS = {
             "vision-delay-40-at-0.1",
         ),
     },
+    "hidden hand": {"perturbations": ("no-feedback-at-0.06", "rotation-30", "vision-delay-40")},
+    "seen in the end": {"perturbations": ("endpoint-feedback", "vision-noise", "delay-40")},
     "loads begin and grow": {
         "control": "joint_torque",
         "perturbations": ("force-field-over-0.2", "force-field--90-at-0.1", "hand-mass-at-0.06"),
