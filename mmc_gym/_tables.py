@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -67,13 +66,6 @@ def text_table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ()) -> T
         headings=tuple(Heading(label, is_text=True) for label in headings),
         rows=tuple(Row(name, tuple(map(Cell, texts))) for name, *texts in rows),
     )
-
-
-def facts_table(thing: object, facts: Mapping[str, str]) -> str:
-    """Return HTML with an object's class, its docstring's first line, and a row for each fact."""
-    first = (inspect.getdoc(type(thing)) or "").partition("\n")[0]
-    table = to_html(text_table(facts.items()))
-    return f"<p><b>{type(thing).__name__}</b>: {escape(first)}</p>{table}"
 
 
 def to_html(table: Table) -> str:

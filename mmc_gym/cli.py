@@ -95,7 +95,6 @@ Shares = Annotated[tuple[float, ...], _arg("X...")]
 Number = Annotated[int, _arg("N")]
 OtherNumber = Annotated[int | None, _arg("N")]
 Place = Annotated[Path, _arg("PATH")]
-Unit = Annotated[Literal["lengths", "m"], _arg("lengths|m")]
 OtherPlace = Annotated[Path | None, _arg("PATH")]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
@@ -256,7 +255,6 @@ def adapt(
     people: OtherPlace = None,
     subjects: Number = 20,
     seed: Number = 0,
-    lengths_in: Unit = "lengths",
     out: Place = Path("runs/adapt"),
     jobs: OtherNumber = None,
     more: PlayOptions = PLAYED,
@@ -273,7 +271,6 @@ def adapt(
         people: CSV of your own data for the figure, with columns trial and adaptation.
         subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
-        lengths_in: Of segments, or metres of a person's arm.
         out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
@@ -302,7 +299,7 @@ def adapt(
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             **shared,
         )
-    result = replace(result, lengths_in=lengths_in, people=of_people)
+    result = replace(result, people=of_people)
     result.print(make_console())
     print_written(make_console(), result.write(out))
 
@@ -313,7 +310,6 @@ def report(
     out: OtherPlace = None,
     focus: Names = (),
     format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
-    lengths_in: Unit = "lengths",
     more: ImportOptions = NO_IMPORTS,
 ) -> None:
     """Write the report of a benchmark or of experiments: one HTML file, complete in itself.
@@ -323,13 +319,12 @@ def report(
         out: The file to write; report.html or report.md in the store if not given.
         focus: The agents that the report is about; your own, or else the first, if not given.
         format: html, or md for the tables in Markdown, as in a pull request.
-        lengths_in: Of experiments, see adapt.
     """
     from mmc_gym import report
 
     more.load()
     file = out or store / f"report.{format}"
-    report.write_report(store, file, focus=focus, format=format, lengths_in=lengths_in)
+    report.write_report(store, file, focus=focus, format=format)
     print(f"wrote {file}")
 
 

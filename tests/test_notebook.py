@@ -1,4 +1,4 @@
-"""What a notebook shows of environments, agents and networks; figures of movements."""
+"""What a notebook shows of environments and networks; figures of movements."""
 
 import io
 import sys
@@ -14,7 +14,6 @@ from PIL import Image
 import mmc_gym
 from mmc_gym import envs
 from mmc_gym._plotting import PlottedMovement, paths_and_profiles
-from mmc_gym.agents import AGENTS
 from mmc_gym.network import MMCNetwork
 
 
@@ -50,21 +49,7 @@ def test_a_notebook_that_runs_shows_the_environment_in_gymnasiums_wrappers(monke
     assert show(gym.make("CartPole-v1")) is None
 
 
-@pytest.mark.parametrize("name", AGENTS)
-def test_an_agent_says_what_it_is_in_a_line_and_in_a_table(name, env):
-    made = gym.make("MMCReach-v0", control=AGENTS[name].control)
-    agent = mmc_gym.make_agent(name, made)
-    assert " object at " not in repr(agent) and len(repr(agent)) < 300
-    html = agent._repr_html_()
-    assert type(agent).__name__ in html
-    assert html.count("<tr>") == len(agent.facts)
-    if AGENTS[name].training_seeds:
-        assert agent.facts["policy"] == f"{name}-0"
-
-
-def test_a_network_and_an_episode_say_what_they_are(env):
-    html = MMCNetwork(damping=7.5)._repr_html_()
-    assert "7.5" in html and "EuclideanNormalizer" in html
+def test_an_episode_says_what_it_is(env):
     (episode,) = mmc_gym.run_episodes(mmc_gym.make_agent("mmc", env), env, [5])
     assert repr(episode) == "<Episode of seed 5, 100 steps, 0.000 from the target at the end>"
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, require
-from mmc_gym._tables import facts_table
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import (
     CannotActError,
@@ -58,18 +57,6 @@ class Agent(ABC, Generic[State]):
     """A controller with stable-baselines3's `predict`, for one observation or a batch."""
 
     training_steps: int = 0  #: environment steps that its training took
-
-    @property
-    def facts(self) -> dict[str, str]:
-        """Facts about the agent, by heading."""
-        return {}
-
-    def __repr__(self) -> str:
-        facts = [f"{heading} {fact}" for heading, fact in self.facts.items()]
-        return f"<{'; '.join([type(self).__name__, *facts])}>"
-
-    def _repr_html_(self) -> str:
-        return facts_table(self, self.facts)
 
     @abstractmethod
     def predict(
@@ -129,12 +116,6 @@ class InternalModelAgent(Agent[State]):
             raise CannotActError(f"interface must be of an arm {accepted} for this agent")
         self.interface = interface
         self._layouts: Layouts = {}
-
-    @property
-    @override
-    def facts(self) -> dict[str, str]:
-        lengths = ", ".join(f"{length:g}" for length in self.interface.segment_lengths)
-        return {"control": self.interface.control, "given segment lengths": lengths}
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:

@@ -55,13 +55,6 @@ class NetworkAgent(JointTargetAgent[State]):
         self.network = network
         self.iterations_per_step = iterations_per_step
 
-    @property
-    @override
-    def facts(self) -> dict[str, str]:
-        network = f"{self.network.dynamics}, damping {self.network.damping:g}"
-        iterations = f"{self.iterations_per_step} per step"
-        return {**super().facts, "network": network, "iterations": iterations}
-
 
 class MMCAgent(NetworkAgent[MMCState]):
     """An MMC network that drives the arm; its state is the network's."""

@@ -197,18 +197,6 @@ class PolicyAgent(Agent[Any]):
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
-    @property
-    @override
-    def facts(self) -> dict[str, str]:
-        card = self.card
-        return {
-            "policy": card.file_stem,
-            "algorithm": card.algorithm,
-            "control": card.control,
-            "trained in": card.env_id,
-            "training": f"{card.training_steps:,} steps in {card.training_seconds:.0f} s",
-        }
-
     def save(self, folder: Path | str) -> Path:
         """Write the policy's two files, NAME-SEED, into `folder`; return the path of its card."""
         save_policy(self._network, self.card, Path(folder))

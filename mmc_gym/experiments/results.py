@@ -66,13 +66,12 @@ class ExperimentResult:
     cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
     targets: NDArray[np.float32]  #: likewise, of the target
     control_step: float  #: s
-    lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`
     people: pd.DataFrame | None = None  #: your own data for the figure, see `check_people`
 
     @cached_property
     def measures(self) -> pd.DataFrame:
         """The measures of learning with their intervals, see `learning_table`."""
-        return learning_table(self, lengths_in=self.lengths_in)
+        return learning_table(self)
 
     @property
     def settings(self) -> dict[str, str]:

@@ -24,7 +24,7 @@ ago, and only the self term and the velocity read the new ones.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
@@ -42,7 +42,6 @@ from mmc_gym._errors import (
     spelt,
     unknown,
 )
-from mmc_gym._tables import facts_table
 from mmc_gym.geometry import (
     Floats,
     joint_angles_from_segments,
@@ -194,10 +193,6 @@ class MMCNetwork:
     def segment_count(self) -> int:
         """N."""
         return len(self.segment_lengths)
-
-    def _repr_html_(self) -> str:
-        names = [one.name for one in fields(self)]
-        return facts_table(self, {n.replace("_", " "): str(getattr(self, n)) for n in names})
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -30,7 +29,7 @@ from mmc_gym.report.results import Results, count, listed, read_results
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mmc_gym.experiments.results import ExperimentResult, LengthUnit
+    from mmc_gym.experiments.results import ExperimentResult
 
 __all__ = ["write_report"]
 
@@ -44,7 +43,6 @@ def write_report(
     *,
     focus: Sequence[str] = (),
     format: Format = "html",
-    lengths_in: LengthUnit = "lengths",
 ) -> Path:
     """Write the report of a store, and return its file.
 
@@ -55,7 +53,6 @@ def write_report(
         focus: names of the agents that it is about; by default your own (files, models, modules
             and objects), or else the first that took part.
         format: "html", or "md" for its tables in Markdown.
-        lengths_in: of measures of experiments, see `learning_table`.
 
     Raises:
         UserError: also if the store is damaged or has no episodes.
@@ -70,7 +67,7 @@ def write_report(
     if (Path(store) / TRIALS).exists():
         from mmc_gym.experiments.trials import read_experiments  # takes long, as does matplotlib
 
-        experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
+        experiments = read_experiments(store)
     if experiments and not (Path(store) / MANIFEST).exists():
         shown = _titles(experiments, focus)
     else:
