@@ -409,7 +409,7 @@ def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     filmed = Filmed(world)
     run_episodes(player, filmed, seeds[:1], records_effort=False)
     with closing(Arms(one)) as arms:
-        episodes = play_episodes(found, arms, world, player, seeds, timed=0)
+        episodes = play_episodes(arms, world, player, seeds)
     world.close()
     return sum(map(int, map(success, episodes))), filmed.pictures
 

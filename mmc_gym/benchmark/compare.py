@@ -57,8 +57,6 @@ _DIFFERENCES = {  # measures that are compared: unit, and the words for a higher
     "success": ("points", "higher", "lower"),
     "time_to_target": ("s", "slower", "faster"),
 }
-TIMED = 10
-"""Number of episodes that agents play one by one as well as in a batch, to time single actions."""
 
 
 def compare(
@@ -281,7 +279,7 @@ class Comparison:
         """How to read the numbers, in full: with `--explain`, and in summary.json."""
         shown, time = self._shown, MEASURES["time_to_target"].label
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
-        of_all = ", ".join(one.label for one in shown if not (one.successes_only or one.sampled))
+        of_all = ", ".join(one.label for one in shown if not one.successes_only)
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
         sentences = [
             self._played,
@@ -289,9 +287,7 @@ class Comparison:
             "share in one training; lengths in segment lengths; at the target: "
             f"{_within(self._first.tolerance)}.",
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{self._episodes} have a value (none where the hand started there); "
-            f"{MEASURES['action_time'].label}: of those played one by one, the first {TIMED} of an "
-            "agent that can play all at once.",
+            f"{self._episodes} have a value (none where the hand started there).",
         ]
         if REFERENCE in self.recorded:
             sentences.append(f"{REFERENCE}: a hand without an arm, through the same measures.")
@@ -492,7 +488,5 @@ def _play(
         played = []
         for agent, env, player in zip(agents, envs, players):
             progress.update(task, description=agent.label, refresh=True)
-            played.append(
-                play_episodes(agent, arms, env, player, seeds, timed=TIMED, on_episode=advance)
-            )
+            played.append(play_episodes(arms, env, player, seeds, on_episode=advance))
         return played

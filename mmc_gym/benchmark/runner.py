@@ -64,9 +64,6 @@ from mmc_gym.measures import (
 from mmc_gym.measures.catalogue import digest, own_measures, register
 from mmc_gym.measures.reaching import success
 
-TIMED = 1
-"""Number of episodes that agents play one by one as well as in a batch, to time single actions."""
-
 PATHS_KEPT, FAILURES_KEPT = 12, 6
 """The paths of so many first instances, and of so many first failures, are kept of the lowest
 training seed that takes part."""
@@ -180,7 +177,7 @@ def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
     asked = {} if cell.control is None else {"control": cell.control}
     env, player = make_player(cell.agent, cell.scenario.with_arguments(**asked))
     with closing(Arms(cell.scenario)) as arms:
-        episodes = play_episodes(cell.agent, arms, env, player, seeds, instances, timed=TIMED)
+        episodes = play_episodes(arms, env, player, seeds, instances)
     return episodes, str(read_attribute(env, "control"))
 
 

@@ -150,14 +150,12 @@ class Arms:
 
 
 def play_episodes(
-    agent: ResolvedAgent,
     arms: Arms,
     env: gym.Env[Any, Any],
     player: Predictor,
     seeds: Sequence[int],
     options: Sequence[Options] = (),
     *,
-    timed: int,
     on_episode: Callable[[Episode], None] | None = None,
 ) -> tuple[Episode, ...]:
     """Let an agent play: all episodes together, or else one by one.
@@ -165,8 +163,7 @@ def play_episodes(
     An `Agent` plays them together, where there is a vector environment among the `arms`: its
     actions do not depend on its neighbours.  Anything else with `predict` may take no batches.
     `env` is the single environment and `player` the agent in it, see `make_player`; `options` are
-    those of its reset, one per episode.  The first `timed` episodes are played one by one, too, to
-    time single actions; the action times of others are NaN if they are played together.
+    those of its reset, one per episode.  Action times are NaN if they are played together.
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
@@ -176,13 +173,10 @@ def play_episodes(
         vectors = [arms.vector(len(seeds[one]), control) for one in chunks]
     if not vectors or None in vectors:
         return run_episodes(player, env, seeds, on_episode, options)
-    alone = run_episodes(player, env, seeds[:timed], options=options[:timed])
-    anew = agent.factory(env)  # one that draws random numbers begins with the same
     together: list[Episode] = []
     for some, vector in zip(chunks, vectors):
-        together += run_episodes(anew, vector, seeds[some], on_episode, options[some])
-    times = [replace(one, action_times=by.action_times) for one, by in zip(together, alone)]
-    return (*times, *together[timed:])
+        together += run_episodes(player, vector, seeds[some], on_episode, options[some])
+    return tuple(together)
 
 
 # The ideal hand: a reference for all movements that follows minimum jerk, without an arm.

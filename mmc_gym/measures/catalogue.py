@@ -108,7 +108,6 @@ class Measure(Quantity):
     statistic: Statistic = "median"
     shown: bool = False
     successes_only: bool = False
-    sampled: bool = False
     of: Callable[[Episode], float] = field(default=_not_here, compare=False)
 
 
@@ -169,7 +168,6 @@ def measure(
     decimals: int = 2,
     shown: bool = False,
     successes_only: bool = False,
-    sampled: bool = False,
 ) -> Callable[[OfEpisode], OfEpisode]:
     """Register a function `Episode -> float` as a measure, under the function's name.
 
@@ -182,8 +180,6 @@ def measure(
         decimals: number of decimals shown; a fraction always has one, in percent.
         shown: whether tables show it; files hold all measures.
         successes_only: whether it is reported only for episodes that ended at the target.
-        sampled: whether it is taken in some episodes only, whatever the agent does in them, so that
-            a missing value says nothing about the agent.
 
     Raises:
         UserError: without a label or without brackets; if another measure or another column of the
@@ -194,7 +190,6 @@ def measure(
     require(isinstance(label, str) and bool(label), "@measure", label, accepted)
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
     facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
-    facts |= {"sampled": sampled}
 
     def decorate(function: OfEpisode) -> OfEpisode:
         register(Measure(name=function.__name__, of=function, **facts))

@@ -200,11 +200,3 @@ def _sum(values: Floats) -> float:
 def episode_return(episode: Episode) -> float:
     """Return the sum of the rewards, undiscounted."""
     return float(np.sum(episode.rewards))
-
-
-@measure(label="time per action", unit="µs", best="low", decimals=1, shown=True, sampled=True)
-def action_time(episode: Episode) -> float:
-    """Return the median time of one call of `predict`, µs; NaN for an episode without steps."""
-    times = episode.action_times * 1e6
-    # Unknown in most episodes of a benchmark: the first one shows that without sorting.
-    return float(np.median(times)) if times.size and not np.isnan(times[0]) else math.nan

@@ -205,10 +205,9 @@ def _measure_column(
     """Return the cell of each agent that has played a scenario, by name.
 
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
-    ever arrives could win with a few short movements.  Any value is enough for a `sampled` measure.
+    ever arrives could win with a few short movements.
     """
-    shares = {name: 1 - float(np.isnan(own).mean()) for name, (own,) in scores.values.items()}
-    present = {name: math.ceil(one) if measure.sampled else one for name, one in shares.items()}
+    present = {name: 1 - float(np.isnan(own).mean()) for name, (own,) in scores.values.items()}
     racing = {
         agent: one.estimate
         for agent, one in found.items()

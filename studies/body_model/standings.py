@@ -83,8 +83,7 @@ def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) ->
     rows = episodes[episodes["agent"].isin(pair)]
     has_value = rows[measure.name].notna()
     shares = has_value.groupby(rows["agent"]).mean()
-    fewest = 0.0 if measure.sampled else PRESENT
-    if shares.reindex(list(pair), fill_value=0.0).min() < fewest:
+    if shares.reindex(list(pair), fill_value=0.0).min() < PRESENT:
         return None
     has_both = rows[has_value].groupby("instance")["agent"].nunique().eq(2)
     common = has_both.index[has_both]

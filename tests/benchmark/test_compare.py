@@ -15,7 +15,7 @@ from rich.console import Console
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents.registry import AGENTS, REFERENCE
-from mmc_gym.benchmark.compare import TIMED, compare
+from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.suite import minimum_jerk_episodes
 from mmc_gym.measures import episode_seeds, measure_all, run_episodes
 from mmc_gym.measures.catalogue import MEASURES, shown_measures
@@ -63,8 +63,6 @@ def test_agents_that_play_all_at_once_act_as_one_by_one(agent, monkeypatch):
     for one, other in zip(found, alone, strict=True):
         np.testing.assert_array_equal(one.joint_angles, other.joint_angles)
         np.testing.assert_array_equal(one.rewards, other.rewards)
-    timed = [np.isfinite(one.action_times).all() for one in found]
-    assert timed == [True] * TIMED + [False] * 2
 
 
 def test_a_scenario_is_played_by_its_name():
@@ -91,9 +89,8 @@ def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_pa
     same(again, found.episodes)
     assert list(episodes.columns[-len(MEASURES) :]) == list(MEASURES)
     assert len(summary) == 3 * len(MEASURES)
-    times = "action_time"
-    same(episodes.drop(columns=times), again.drop(columns=times))
-    same(*(one[one["measure"] != times] for one in (summary, other)))
+    same(episodes, again)
+    same(summary, other)
     for name in ("paths_and_profiles.svg", "summary.json"):
         first, second = (tmp_path / folder / "new" / name for folder in "ab")
         assert first.read_text() == second.read_text()
@@ -214,7 +211,7 @@ def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_epi
     assert found["path_ratio"] == pytest.approx(1)
     assert found["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
     assert found["minimum_jerk_correlation"] > 0.999
-    for name in ("joint_effort", "joint_work", "action_time"):
+    for name in ("joint_effort", "joint_work"):
         assert math.isnan(found[name])
 
 

@@ -154,7 +154,6 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
         "joint_effort": 4.0,
         "joint_work": 5.0,
         "episode_return": -0.25,
-        "action_time": 20.0,
     }
     found = measure_all(episode)
     assert found == pytest.approx(expected, nan_ok=True)
@@ -188,7 +187,6 @@ def test_what_an_episode_does_not_have_is_not_measured(make_episode):
         {"servo_impulses": untold, "servo_work": untold},
     ):
         assert missing(still, **arrays) >= {"joint_effort", "joint_work"}
-    assert "action_time" in missing(still[:1])  # there were no steps
 
 
 def test_a_hand_that_never_arrives_has_no_measure_of_how_it_moves(make_episode):
@@ -202,4 +200,4 @@ def test_a_hand_that_never_arrives_has_no_measure_of_how_it_moves(make_episode):
     assert seen.drop(columns=of_all).loc["stays"].isna().all()
     pd.testing.assert_frame_equal(seen[of_all], frame[of_all])
     pd.testing.assert_series_equal(seen.loc["arrives"], frame.loc["arrives"])
-    assert {"success", "final_distance", "episode_return", "action_time"} < set(of_all)
+    assert {"success", "final_distance", "episode_return"} < set(of_all)

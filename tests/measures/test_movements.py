@@ -198,6 +198,6 @@ def test_an_unseen_hand_has_neither_success_nor_path(make_episode):
     unseen = make_episode(np.full((11, 2), math.nan), np.zeros((11, 2)))
     values = measure_all(unseen)
     shares = {values.pop(name) for name in ("success", "success_1_percent")}
-    not_of_the_hand = {"episode_return", "joint_effort", "joint_work", "action_time"}
+    not_of_the_hand = {"episode_return", "joint_effort", "joint_work"}
     assert shares == {0.0} and not reaching.stays_within([], 0.1)
     assert all(math.isnan(values[name]) for name in values.keys() - not_of_the_hand)
