@@ -164,7 +164,7 @@ def test_agents_are_compared_and_what_the_environment_does_not_say_is_left_out(c
     found, out = comparison
     assert found.headline.startswith("success at the end: mine 100.0 %, mmc-body 100.0 %")
     assert "joint work" not in str(found)  # the torques are unknown
-    assert "within 0.1" in found.note
+    assert "within 0.1" in found.explanation
     returns = found.episodes.loc[found.episodes["agent"] == "mine", "episode_return"]
     assert list(returns) == [-80.0] * 3
     assert found.episodes["maximal_deviation"].notna().any()

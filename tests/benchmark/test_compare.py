@@ -112,7 +112,7 @@ def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypa
         header = next(line for line in out.splitlines() if line.split()[:1] == ["best"])
         assert header.split()[1:3] == agents[:2]
         assert all(agent in out for agent in agents)
-        assert "time per action" in out and "[us]" in out
+        assert "sum of rewards" in out and "[mass len2/s2]" in out
         assert "NOT over trainings" in " ".join(out.split())
         monkeypatch.setenv("COLUMNS", "80")
 
