@@ -1,52 +1,13 @@
 """What a notebook shows of environments and networks; figures of movements."""
 
-import io
-import sys
-from types import SimpleNamespace
 
-import gymnasium as gym
 import matplotlib.figure
 import numpy as np
-import pygame
 import pytest
-from PIL import Image
 
 import mmc_gym
-from mmc_gym import envs
 from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 from mmc_gym.network import MMCNetwork
-
-
-def pixels(png):
-    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
-
-
-def test_an_environment_is_shown_as_it_is_rendered_whatever_its_mode():
-    pygame.display.quit()
-    shown = []
-    for mode in ("rgb_array", None):
-        env = mmc_gym.make("rotation-30", render_mode=mode)
-        env.reset(seed=1)
-        shown.append(pixels(env.unwrapped._repr_png_()))
-        if mode:
-            frame = env.render()
-    np.testing.assert_array_equal(*shown)
-    small = np.asarray(Image.fromarray(frame).reduce(2), int)
-    np.testing.assert_array_equal(shown[0], small)
-    assert not pygame.display.get_init()
-
-
-def test_a_notebook_that_runs_shows_the_environment_in_gymnasiums_wrappers(monkeypatch):
-    shown_by = {}
-    formatter = SimpleNamespace(for_type=shown_by.__setitem__)
-    shell = SimpleNamespace(display_formatter=SimpleNamespace(formatters={"image/png": formatter}))
-    ipython = SimpleNamespace(get_ipython=lambda: shell)
-    monkeypatch.setitem(sys.modules, "IPython", ipython)
-    envs._show_wrapped_environments()
-    show = shown_by[gym.Wrapper]
-    env = gym.make("MMCReach-v0")
-    assert show(env) == env.unwrapped._repr_png_()
-    assert show(gym.make("CartPole-v1")) is None
 
 
 def test_an_episode_says_what_it_is(env):

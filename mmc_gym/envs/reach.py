@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -225,17 +224,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self._renderer is None:
             self._renderer = Renderer(self.setup, self.render_mode)
         return self._renderer.draw(self._scene())
-
-    def _repr_png_(self) -> bytes:
-        """Return the picture that a notebook shows, half as large, whatever the render mode."""
-        from PIL import Image
-
-        from mmc_gym.envs.render import Renderer
-
-        picture: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
-        file = io.BytesIO()
-        Image.fromarray(picture).reduce(2).save(file, format="PNG")
-        return file.getvalue()
 
     def _scene(self) -> Scene:
         from mmc_gym.envs.render import Scene
