@@ -176,7 +176,7 @@ def test_without_a_success_distance_the_environment_says_what_succeeds():
     assert list(found.episodes["success"]) == [1.0] * 3
     assert found.settings["tolerance"] is None
     assert "time to target" not in str(found)
-    assert "as the environment says" in found.note
+    assert "as the environment says" in found.explanation
 
 
 def test_episodes_of_other_environments_are_kept_and_reported(tmp_path, comparison):
