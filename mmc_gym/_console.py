@@ -34,11 +34,8 @@ def make_console(*, stderr: bool = False) -> Console:
     return console if fits else Console(stderr=stderr, width=WIDTH)
 
 
-def progress_bar(*, auto_refresh: bool = True) -> Progress:
-    """Return a bar on stderr: task, progress, elapsed and remaining time; none without a terminal.
-
-    With `auto_refresh` a thread draws, ten times a second; without it no thread disturbs timings.
-    """
+def progress_bar() -> Progress:
+    """Return a bar of task, progress and times on stderr; it is hidden without a terminal."""
     console = make_console(stderr=True)
     return Progress(
         TextColumn("{task.description}", markup=False),
@@ -48,7 +45,6 @@ def progress_bar(*, auto_refresh: bool = True) -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        auto_refresh=auto_refresh,
         disable=not console.is_terminal,
     )
 

@@ -1,6 +1,5 @@
 """What a notebook shows of environments and networks; figures of movements."""
 
-
 import matplotlib.figure
 import numpy as np
 import pytest

@@ -70,7 +70,6 @@ class TrainingEnvironment(NamedTuple):
     control: Control | None = None  #: its control mode
     body: ArmParameters | None = None  #: its arm, without perturbations
     wrappers: tuple[str, ...] = ()  #: names of wrappers that change observations or actions
-    own_wrappers: tuple[str, ...] = ()  #: names of yours that may, and keep both spaces
 
     @classmethod
     def of(cls, env: Any) -> TrainingEnvironment:
@@ -79,7 +78,7 @@ class TrainingEnvironment(NamedTuple):
             control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
         except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
             return cls()
-        return cls(control, body, _changing_wrappers(env), _own_wrappers(env))
+        return cls(control, body, _changing_wrappers(env))
 
 
 class ModelAgent(Agent[Any]):
@@ -121,8 +120,7 @@ class ModelAgent(Agent[Any]):
     def acting_in(self, env: Any) -> ModelAgent:
         """Return the agent itself if it can act in an environment.
 
-        Warn, by a `MismatchWarning`, of another arm than in training, and of your own wrappers that
-        `env` lacks but that keep the spaces.
+        Warn, by a `MismatchWarning`, of another arm than in training.
 
         Raises:
             ControlError: if its actions are of another control mode.
@@ -140,14 +138,12 @@ class ModelAgent(Agent[Any]):
                 f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
-        if lacks := _missing(self.trained_in.wrappers, _changing_wrappers(env)):
+        here = _changing_wrappers(env)
+        if lacks := ", ".join(name for name in self.trained_in.wrappers if name not in here):
             raise CannotActError(
                 f"env must be wrapped in {lacks}, as in the training of {self.label}, "
                 "got it without"
             )
-        if lacks := _missing(self.trained_in.own_wrappers, _own_wrappers(env)):
-            message = f"{self.label} was trained behind {lacks}, which env lacks"
-            warnings.warn(message, MismatchWarning, stacklevel=3)
         return self
 
     @property
@@ -195,17 +191,6 @@ def _changing_wrappers(env: Any) -> tuple[str, ...]:
     """
     names = (type(one).__name__ for one in wrappers_of(env) if changes_contract(one))
     return tuple(name for name in names if name != "VecNormalize")
-
-
-def _own_wrappers(env: Any) -> tuple[str, ...]:
-    """Name your own wrappers of observations or actions that keep both spaces."""
-    kinds = (gym.ObservationWrapper, gym.ActionWrapper)
-    kept = (one for one in wrappers_of(env) if isinstance(one, kinds) and not changes_contract(one))
-    return tuple(name for one in kept if (name := type(one).__name__) != "ClipAction")
-
-
-def _missing(wanted: tuple[str, ...], here: tuple[str, ...]) -> str:
-    return ", ".join(name for name in wanted if name not in here)
 
 
 @dataclass(frozen=True)

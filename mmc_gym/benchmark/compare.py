@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
-_REFRESH = 10  # episodes between two drawings of the progress bar
 _DIFFERENCES = {  # measures that are compared: unit, and the words for a higher and a lower value
     "success": ("points", "higher", "lower"),
     "time_to_target": ("s", "slower", "faster"),
@@ -476,17 +475,12 @@ def _play(
     players: Sequence[Predictor],
     seeds: Sequence[int],
 ) -> list[tuple[Episode, ...]]:
-    # The bar is drawn between episodes: a drawing thread would disturb the times of the actions.
-    with progress_bar(auto_refresh=False) as progress:
+    with progress_bar() as progress:
         task = progress.add_task("", total=len(players) * len(seeds))
-
-        def advance(_: Episode) -> None:
-            progress.advance(task)
-            if progress.tasks[0].completed % _REFRESH == 0:
-                progress.refresh()
-
         played = []
         for agent, env, player in zip(agents, envs, players):
-            progress.update(task, description=agent.label, refresh=True)
-            played.append(play_episodes(arms, env, player, seeds, on_episode=advance))
+            progress.update(task, description=agent.label)
+            played.append(
+                play_episodes(arms, env, player, seeds, on_episode=lambda _: progress.advance(task))
+            )
         return played
