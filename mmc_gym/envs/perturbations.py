@@ -581,7 +581,7 @@ class Timed(Perturbation):
         return np.clip((since + (rise == 0)) / max(rise, 1), 0.0, 1.0)
 
     def moments(self, control_step: float) -> list[int]:
-        """Return numbers of control steps at which it changes, at most 102, in order."""
+        """Return control steps, in order: that before it begins, and at most 101 as it grows."""
         at, rise = round(self.at / control_step), round(self.over / control_step)
         return [
             at - 1,

@@ -372,7 +372,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return deepcopy(arrived) if self._copy else arrived
 
     def _arrived(self) -> Any:
-        """Return the observation that has arrived."""
+        """Return what arms see now: the last observation, or one of some control steps ago."""
         late = self._now(_EVERY).delay
         if isinstance(late, np.ndarray):
             shown = deepcopy(self._late[-1])

@@ -94,7 +94,11 @@ class Workspace:
         return self._can_be((x, y), hand, posture)
 
     def _can_be(self, point: Point, hand: Point, posture: Sequence[float] | None) -> bool:
-        """Tell whether a target can be at a point, and the hand at another; see `contains`."""
+        """Return whether the hand can be at `hand`, which shows a cursor at `point`.
+
+        Both must be within reach and clear of obstacles.  With a posture, the hand must be within
+        reach of the joints that turn, while the locked ones keep their angles.
+        """
         radius = self.body.segment_radius
         is_free = all(math.dist(hand, disc[:2]) > disc[2] + radius for disc in self.body.obstacles)
         fine = is_free and self._is_in_ring(point) and self._is_in_ring(hand)

@@ -178,14 +178,12 @@ def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
     `low` and `high` are the published range, equal for a single figure; one of them is NaN for a
     bound.  `experiment` is the family of experiments; empty for single movements.
     """
-    cited = people(experiment)
-    rows = [
-        facts
-        | {"agent": PEOPLE, "count": 0, "low": one.low, "high": one.high, "source": one.authors}
-        | {"estimate": one.low if one.low == one.high else math.nan}
-        for facts in table.drop_duplicates("measure").to_dict("records")
-        if (one := cited.get(facts["measure"]))
-    ]
+    cited, rows = people(experiment), []
+    for facts in table.drop_duplicates("measure").to_dict("records"):
+        if one := cited.get(facts["measure"]):
+            estimate = one.low if one.low == one.high else math.nan
+            own = {"agent": PEOPLE, "count": 0, "source": one.authors}
+            rows.append(facts | own | {"estimate": estimate, "low": one.low, "high": one.high})
     return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
 
 
@@ -248,8 +246,9 @@ def learning_figure(
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
-    Probes other than catch trials and error clamps are left out.  Measures in `table`, by default
-    those of the result, that people have a figure of follow below, see `draw_with_people`.
+    Probes other than catch trials and error clamps are left out.  Below are the measures for which
+    there is a published figure of people, see `draw_with_people`; `table` has them, by default
+    that of the result.
     """
     table = result.measures if table is None else table
     compared = list(table.loc[table["agent"] == PEOPLE, "measure"])

@@ -418,8 +418,9 @@ def _read(path: Path, content: bytes) -> _Cell:
         table, kept = read_table(content)
         if "experiment" not in kept.settings:
             raise ValueError("it holds no trials of an experiment")
-        first, *_, last = kept.settings["subjects"] * 2
-        name = _file_name(_stem(table["agent"][0].as_py(), kept.settings), range(first, last + 1))
+        subjects = kept.settings["subjects"]
+        stem = _stem(table["agent"][0].as_py(), kept.settings)
+        name = _file_name(stem, range(subjects[0], subjects[-1] + 1))
         if name != path.name:
             raise ValueError(f"it is {name}")
     except (OSError, pa.ArrowException, ValueError, LookupError, TypeError) as error:

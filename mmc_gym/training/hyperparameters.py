@@ -239,12 +239,12 @@ def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
 
 
 def _parameters(kind: type) -> dict[str, inspect.Parameter]:
-    """Return the parameters of a constructor, with those of the base class that it accepts."""
+    """Return the parameters of a constructor; if it has `**kwargs`, with its base class's."""
     own = inspect.signature(kind.__init__, eval_str=True).parameters  # type: ignore[misc]
     unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     named = {name: one for name, one in own.items() if one.kind not in unnamed}
-    inherited = _parameters(kind.__base__ or object) if len(named) < len(own) else {}
-    every = inherited | named
+    has_kwargs, base = len(named) < len(own), kind.__base__ or object
+    every = {**_parameters(base), **named} if has_kwargs else named
     return {name: one for name, one in every.items() if name not in _NOT_IN_FILES}
 
 

@@ -275,7 +275,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _human_turn(
         self, turn: Floats, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, Drive]:
-        """Return as much of a turn as a slower movement makes in this step, and the drive."""
+        """Return the part of a turn that a movement of human speed makes now, and the drive.
+
+        All are (m, N), radians; `left` are the turns to the next posture of the route.
+        """
         now, lengths, route = problem.joint_angles, problem.lengths, state.route
         is_moving = state.senses.target.is_moving
         way = np.abs(hand(route.next, lengths) - hand(now, lengths))

@@ -84,9 +84,15 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
     def start(self, sensed: Sensed) -> SpatialState:
         angles = sensed.joint_angles
         arms, joints = angles.shape
-        sums, shares = np.zeros((arms, joints + 2, joints + 2)), np.zeros((arms, joints + 1))
-        still, looks, offset = np.zeros_like(angles), np.zeros(arms), np.zeros((arms, 3))
-        return SpatialState(angles, angles, still, looks, sums, shares, offset)
+        return SpatialState(
+            joint_angles=angles,
+            goal=angles,
+            waited=np.zeros_like(angles),
+            looks=np.zeros(arms),
+            sums=np.zeros((arms, joints + 2, joints + 2)),
+            shares=np.zeros((arms, joints + 1)),
+            offset=np.zeros((arms, 3)),
+        )
 
     @override
     def respond(self, state: SpatialState, seen: Seen) -> tuple[NDArray[np.float32], SpatialState]:

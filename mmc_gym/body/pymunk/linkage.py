@@ -205,10 +205,10 @@ class Linkage:
 
     def _add_ground(self, space: pymunk.Space) -> None:
         """Add the body of all obstacles, and if there are any, shapes that collide."""
-        discs, radius = self.parameters.obstacles, self.parameters.segment_radius
+        discs = self.parameters.obstacles
         for segment, (_, length, centre) in zip(self.segments, self.rods if discs else ()):
             ends = (-centre, 0.0), (length - centre, 0.0)
-            shape = pymunk.Segment(segment, *ends, radius)
+            shape = pymunk.Segment(segment, *ends, self.parameters.segment_radius)
             shape.filter = pymunk.ShapeFilter(group=1)  # no collisions within a group
             space.add(shape)
         ground = pymunk.Body(body_type=pymunk.Body.STATIC)
