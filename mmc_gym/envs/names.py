@@ -514,7 +514,7 @@ def register_perturbation(family: Family) -> None:
     """
     require(isinstance(family, Family), "family", family, "a Family")
     fine = family.name not in {*TASKS, *_SHIPPED}
-    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*(?<!-at|-over)", family.name) is not None
+    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*(?<!-at)(?<!-over)", family.name) is not None
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
     family.with_strength(family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family

@@ -158,7 +158,7 @@ def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle,
     word = "slower" if ours > theirs else "faster"
     assert time.startswith(f"Oracle, time to target: {abs(ours - theirs):.2f} s {word} than mmc [")
     assert "random" not in time  # it never ends there
-    assert "[env steps]" in printed(terminal)  # a terminal gets all signs
+    assert "[mass len²/s²]" in printed(terminal)  # a terminal gets all signs
 
 
 def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
