@@ -5,6 +5,7 @@ here, without running examples, which other tests do, and without films.  The pi
 those that the commands next to them draw.
 """
 
+import inspect
 import os
 import re
 import runpy
@@ -20,10 +21,12 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import pytest
 from PIL import Image
+from selenium.webdriver.support.ui import WebDriverWait
 
 import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -96,6 +99,29 @@ def test_every_scenario_has_a_page(site):
     for name in {*SCENARIOS, *TASKS, *(parse_scenario(name).name for name in FAMILIES)}:
         text = re.sub("<[^>]+>", "", (site / "envs" / f"{name}.html").read_text())
         assert re.search(rf"mmc-gym benchmark --\w+ {name}\b", text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("page", "kind"), [("reach", MMCReachEnv), ("goal", MMCReachGoalEnv)])
+def test_the_page_of_an_environment_lists_its_arguments(site, page, kind):
+    text = (site / "envs" / f"{page}.html").read_text()
+    names = inspect.signature(kind).parameters
+    assert len(names) > 20
+    assert not [name for name in names if f'<span class="pre">{name}</span>' not in text]
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("browser")
+def test_the_first_page_scrolls_nowhere_on_a_phone(site, browser):
+    metrics = {"width": 375, "height": 812, "deviceScaleFactor": 2, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.get((site / "index.html").as_uri())
+    # The playground says how high it is, and its frame follows.
+    frame = "return document.querySelector('iframe.playground').style.height"
+    WebDriverWait(browser, 120, 0.1).until(lambda _: browser.execute_script(frame))
+    wide = "return [...document.querySelectorAll('.bd-article *')].filter(one => one.clientWidth"
+    wide += " && one.scrollWidth > one.clientWidth + 1).map(one => one.outerHTML.slice(0, 99))"
+    assert browser.execute_script(wide) == []
 
 
 @pytest.mark.slow
