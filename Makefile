@@ -38,7 +38,7 @@ test: lint type imports ## install the dev extra into .venv, then lint, types, i
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(ARGS)
 	$(NEXT)
 
-test-all: $(DEV_READY) ## what `make test` leaves out: site, browser, studies, whole trainings
+test-all: $(DEV_READY) ## what `make test` leaves out: site, browser, Ray, studies, whole trainings
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow $(ARGS)
 	$(NEXT)
 

@@ -34,6 +34,7 @@ ENVIRONMENT = {
 NEEDS = {
     "fast": "import mmc_gym; mmc_gym.make('random', engine='analytic')",
     "video": "from mmc_gym.record import record; record('film.mp4')",
+    "cluster": "import mmc_gym.benchmark.runner as one; one.benchmark(['mmc'], 'x', cluster='ray')",
     "training": "import mmc_gym; mmc_gym.train('sac', steps=1, tensorboard='logs')",
 }
 

@@ -1,35 +1,45 @@
-"""Compute one function of many cells, in processes of this machine (loky).
+"""Compute one function of many cells, in processes of this machine (loky) or on a Ray cluster.
 
 A cell is any argument that can be pickled.  Results come back to the calling process, which alone
-keeps anything.  Every worker computes on one thread, so that results do not depend on the number of
-processors.  If a worker dies, its cells are computed again.
+keeps anything: the nodes of a cluster may share no file system.  Every worker computes on one
+thread, so that results do not depend on the number of processors.  If a worker or a node dies, its
+cells are computed again.
 """
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
+import logging
 import os
 import pickle
+import platform
+import re
 import sys
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 import cloudpickle
 import loky
 
-from mmc_gym._errors import UserError, require_whole, shown
+from mmc_gym._errors import UserError, missing, require, require_whole, shown
 from mmc_gym._files import IMPORTED, import_modules
 
 CellT = TypeVar("CellT")
 Value = TypeVar("Value")
 
+ATTEMPTS = 5  # of a cell on Ray, whose node or worker may die
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+_GROWTH_SECONDS = 5.0  # after which we look whether the cluster has more nodes
 
 
 class CellError(RuntimeError):
@@ -50,6 +60,7 @@ def run_grid(
     cells: Iterable[CellT],
     *,
     jobs: int | None = None,
+    cluster: str | None = None,
     on_result: Callable[[int, Value], None] | None = None,
     on_failure: Callable[[int, CellError], None] | None = None,
 ) -> list[Value]:
@@ -60,7 +71,10 @@ def run_grid(
             effect but its result, since it is called again if a worker dies.
         cells: arguments, which must be picklable.
         jobs: how many cells are computed at once; 1 computes in this process.  The default is the
-            number of processors.
+            number of processors of this machine, or of the cluster.
+        cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
+            machine belongs to, or a local one if there is none; "ray://HOST:PORT" for the one
+            whose client server listens there.  A node with other sources of `mmc_gym` refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
             continues without it, and its result is None.  Then even a single cell is computed in
@@ -74,8 +88,7 @@ def run_grid(
     >>> run_grid(abs, [-1, 2, -3], jobs=1)
     [1, 2, 3]
     """
-    if jobs is not None:
-        require_whole("jobs", jobs)
+    check_workers(jobs, cluster)
     cells = list(cells)
     results: list[Any] = [None] * len(cells)
     failed: CellError | None = None
@@ -86,7 +99,7 @@ def run_grid(
             on_result(index, value)
 
     at_once = min(jobs or loky.cpu_count(), len(cells))
-    if not cells or (at_once == 1 and (jobs == 1 or on_failure is None)):
+    if not cells or (cluster is None and at_once == 1 and (jobs == 1 or on_failure is None)):
         with one_torch_thread():
             for index, cell in enumerate(cells):
                 try:
@@ -99,15 +112,15 @@ def run_grid(
     calls = [_packed(function, index, cell) for index, cell in enumerate(cells)]
     waiting, running = deque(range(len(cells))), dict[Any, int]()
     suspects = list[int]()  # cells under which a worker died; the first is computed alone
-    workers = _Processes(at_once)
+    workers = _Processes(at_once) if cluster is None else _Ray(cluster, jobs)
     try:
         while waiting or suspects or running:
-            while (suspects or waiting) and len(running) < (1 if suspects else at_once):
+            while (suspects or waiting) and len(running) < (1 if suspects else workers.room):
                 index = suspects[0] if suspects else waiting.popleft()
                 running[workers.submit(calls[index])] = index
-            for call in wait(running, return_when=FIRST_COMPLETED).done:
+            for call in workers.finished(running):
                 index = running.pop(call)
-                value, error = _outcome(call)
+                value, error = _outcome(workers, call)
                 if isinstance(error, WorkerDied) and index not in suspects:
                     suspects.append(index)
                     continue
@@ -122,10 +135,22 @@ def run_grid(
                     waiting.clear()
                     suspects.clear()
     finally:
-        workers.close()
+        workers.close(running)
     if failed is not None:
         raise failed
     return results
+
+
+def check_workers(jobs: int | None, cluster: str | None) -> None:
+    """Raise a `UserError` unless `run_grid` accepts these; do not connect to the cluster."""
+    if jobs is not None:
+        require_whole("jobs", jobs)
+    if cluster is None:
+        return
+    fine = isinstance(cluster, str) and re.fullmatch(r"ray|ray://.+:\d+", cluster) is not None
+    require(fine, "cluster", cluster, "'ray' or 'ray://HOST:PORT'")
+    if importlib.util.find_spec("ray") is None:
+        raise missing(f"cluster {cluster!r}", "Ray", "cluster")
 
 
 @contextmanager
@@ -150,12 +175,12 @@ class _Processes:
     """Processes of this machine, which end when this one does, even if it is killed."""
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self.room = count  # calls that may be under way
         self._executor = self._start()
 
     def _start(self) -> Any:
         return loky.ProcessPoolExecutor(
-            self._count, env=_ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
+            self.room, env=_ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
         )
 
     def submit(self, packed: bytes) -> Any:
@@ -165,7 +190,15 @@ class _Processes:
         self._executor = self._start()
         return self._executor.submit(_run_packed, packed)
 
-    def close(self) -> None:
+    def finished(self, calls: Collection[Any]) -> Collection[Any]:
+        """Wait for calls, and return those that are finished."""
+        return wait(calls, return_when=FIRST_COMPLETED).done
+
+    def result(self, call: Any) -> Any:
+        """Return the result of a finished call; raise whatever ended its worker."""
+        return call.result()
+
+    def close(self, calls: Collection[Any]) -> None:
         """End the processes."""
         self._executor.shutdown(wait=True, kill_workers=True)
 
@@ -182,8 +215,52 @@ def _end_with(parent: int) -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
+class _Ray:
+    """A Ray cluster, with the methods of `_Processes`.
+
+    If a node or worker dies, Ray itself begins its calls again, and makes the results anew that
+    were lost with the node.
+    """
+
+    def __init__(self, cluster: str, jobs: int | None) -> None:
+        import ray
+
+        self._ray: Any = ray
+        self._jobs = jobs
+        self._is_ours = cluster != "ray" or not ray.is_initialized()
+        if self._is_ours:
+            address = None if cluster == "ray" else cluster
+            ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+        self._run_packed = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_packed)
+
+    @property
+    def room(self) -> int:
+        # One call more than there are processors, so that a cluster that can grow does.
+        return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
+
+    def submit(self, packed: bytes) -> Any:
+        return self._run_packed.remote(packed, _sources())
+
+    def finished(self, calls: Collection[Any]) -> Collection[Any]:
+        ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
+        return ready
+
+    def result(self, call: Any) -> Any:
+        return self._ray.get(call)
+
+    def close(self, calls: Collection[Any]) -> None:
+        for call in calls:
+            with suppress(Exception):  # the error that ended the grid is the one to show
+                self._ray.cancel(call, force=True)
+        if self._is_ours:
+            self._ray.shutdown()  # ends a cluster only if it was begun here
+
+
 def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
-    """Pickle a call, even if its function is defined in a script or notebook."""
+    """Pickle a call, even if its function is defined in a script or notebook.
+
+    As bytes, because arrays that Ray hands over are read-only views of shared memory.
+    """
     try:
         call = cloudpickle.dumps((function, cell))
         return pickle.dumps(([*IMPORTED], call))
@@ -191,14 +268,21 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         raise CellError(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
-def _run_packed(packed: bytes) -> bytes:
+def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
     """Run a packed call in a worker.
 
-    Return the pickled pair of its value and None, or of None and its error.
+    Args:
+        packed: see `_packed`.
+        sources: the caller's `_sources`, which a worker on another machine must have, too.
+
+    Returns:
+        The pickled pair of its value and None, or of None and its error.
     """
     try:
+        if sources not in (None, _sources()):
+            raise RuntimeError(f"node {platform.node()} must have the caller's sources of mmc_gym")
         modules, call = pickle.loads(packed)
-        with suppress(UserError):  # what the function needs of them was pickled with it
+        with suppress(UserError):  # a node of a cluster may do without them
             import_modules(modules)
         function, cell = pickle.loads(call)
         with one_torch_thread():
@@ -218,11 +302,21 @@ def _packed_failure(error: BaseException) -> bytes:
         return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
-def _outcome(call: Any) -> tuple[Any, BaseException | None]:
+def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException | None]:
     """Return the value of a finished call and None, or None and its error."""
     try:
-        packed = call.result()
+        packed = workers.result(call)
     except Exception as error:  # the worker died: an error of the function is in the result
         return None, WorkerDied(f"its process died, twice ({type(error).__name__})")
     value, failure = pickle.loads(packed)
     return value, failure
+
+
+@cache
+def _sources() -> str:
+    """Return the SHA-256 of all files of this package that results depend on."""
+    digest, package = hashlib.sha256(), Path(__file__).parent
+    for path in sorted(package.rglob("*")):
+        if path.suffix in (".py", ".json", ".safetensors", ".yml"):
+            digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -198,6 +198,7 @@ def benchmark(
     seed: Number = 0,
     out: Place = Path("runs/benchmark"),
     jobs: OtherNumber = None,
+    cluster: Text = None,
     interface: Text = None,
     more: PlayOptions = PLAYED,
 ) -> None:
@@ -212,6 +213,7 @@ def benchmark(
         seed: Seed of the starts and targets.
         out: Folder of the store; an existing benchmark is resumed, or added to.
         jobs: Number of cells at once; one per core, if not given.
+        cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
     """
     from mmc_gym.agents import AGENTS, REFERENCE
@@ -234,6 +236,7 @@ def benchmark(
             episodes,
             seed,
             jobs=jobs,
+            cluster=cluster,
             on_progress=on_progress,
             **shared,
         )

@@ -1,9 +1,11 @@
 """Settings and fixtures that all tests share."""
 
 import base64
+import gc
 import math
 import os
 import shutil
+import tempfile
 from pathlib import Path
 
 # Before any library is imported.
@@ -131,6 +133,21 @@ def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
 @pytest.fixture
 def make_episode():
     return episode_of
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """Ray, in a temporary folder with a name short enough for sockets."""
+    module = pytest.importorskip("ray")
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
+    monkeypatch.setenv("RAY_TMPDIR", folder)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    # Otherwise the client server dies at one start in ten or so (Ray's issue 63202).
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+    yield module
+    module.shutdown()
+    shutil.rmtree(folder, ignore_errors=True)
+    gc.collect()
 
 
 CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")

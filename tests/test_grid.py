@@ -1,12 +1,15 @@
-"""A grid has the same results in one process and in several."""
+"""A grid has the same results in one process, in several, and on a cluster that loses a node."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cloudpickle
+import numpy as np
 import pytest
 
 from mmc_gym import _grid
@@ -16,6 +19,39 @@ from mmc_gym._grid import CellError, run_grid
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
 PATIENCE = 60.0  # seconds
+OBJECT_STORE = 100 * 2**20  # bytes
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Random numbers; on a cluster, with notes on where they were drawn."""
+
+    seed: int
+    size: int = 100
+    notes: Path | None = None
+
+
+def draw(cell):
+    note_and_wait(cell.notes, cell.seed, "begun")
+    numbers = np.random.default_rng(cell.seed).random(cell.size)
+    note_and_wait(cell.notes, cell.seed, "done")
+    return numbers
+
+
+def note_and_wait(notes, seed, stage):
+    """Let the victim finish two cells and never its third, and the others none before that."""
+    if notes is None:
+        return
+    import ray
+
+    node, victim = ray.get_runtime_context().get_node_id(), (notes / "victim").read_text()
+    if stage == "done" and node != victim:
+        wait_for(lambda: (notes / "held").exists())
+    note = f"{stage}-{seed}-{node}-{time.monotonic_ns()}"
+    (notes / note).touch()
+    if stage == "begun" and node == victim and len(list(notes.glob(f"done-*-{victim}-*"))) == 2:
+        (notes / "held").write_text(str(seed))
+        time.sleep(2 * PATIENCE)
 
 
 def wait_for(condition):
@@ -64,6 +100,11 @@ def threads(number):
     import torch
 
     return torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
+
+
+def double_in_place(array):
+    array *= 2
+    return array
 
 
 IN_BOTH = pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -145,6 +186,94 @@ def test_a_worker_computes_on_one_thread(jobs):
         torch.set_num_threads(before)
 
 
-def test_no_jobs_are_refused():
+def test_other_clusters_and_no_jobs_are_refused_and_without_ray_the_extra_is_named(monkeypatch):
+    for cluster in ("", "dask", "ray:", "ray://", "ray://host", "ray:/h:1"):
+        with pytest.raises(ValueError, match=rf"cluster must be .*, got '{cluster}"):
+            run_grid(square, [1], cluster=cluster)
     with pytest.raises(ValueError, match=r"jobs must be .*, got 0"):
         run_grid(square, [1], jobs=0)
+    monkeypatch.setattr(_grid.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r'pip install "mmc-gym\[cluster\]"'):
+        run_grid(square, [1], cluster="ray")
+
+
+def uses_ray(test):
+    """Mark a test; Ray leaves some of its files to the garbage collector."""
+    ignored = ("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+    return pytest.mark.slow(pytest.mark.filterwarnings(*ignored)(test))
+
+
+@pytest.fixture
+def cluster(ray):
+    from ray.cluster_utils import Cluster
+
+    started = Cluster()
+    yield started
+    ray.shutdown()
+    started.shutdown()
+
+
+@uses_ray
+def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    cells = [Draw(seed) for seed in range(4)]
+    found = run_grid(draw, cells, jobs=2, cluster="ray")
+    np.testing.assert_array_equal(found, run_grid(draw, cells, jobs=1))
+    assert not ray.is_initialized()  # what was begun is ended
+
+    ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=OBJECT_STORE)
+    array = run_grid(double_in_place, [np.ones(300_000)], cluster="ray")[0]
+    assert array.flags.writeable
+    assert run_grid(threads, range(2), cluster="ray") == [(1, "1")] * 2
+    seen = {}
+    with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused"):
+        run_grid(refuse_three, [0, 3, *range(4, 90)], cluster="ray", on_result=seen.__setitem__)
+    assert seen[0] == 0 and len(seen) < 80
+    with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
+        run_grid(end, [1], cluster="ray")
+    monkeypatch.setattr(_grid, "_sources", lambda: "others")
+    with pytest.raises(CellError, match="must have the caller's sources of mmc_gym"):
+        run_grid(square, [1], cluster="ray")
+    assert ray.is_initialized()  # what was there stays
+
+
+@uses_ray
+def test_a_ray_cluster_that_loses_a_node_gives_what_one_process_gives(
+    ray, cluster, monkeypatch, tmp_path
+):
+    cluster.add_node(num_cpus=1, include_dashboard=False, object_store_memory=OBJECT_STORE)
+    victim = cluster.add_node(num_cpus=1, object_store_memory=OBJECT_STORE)
+    (tmp_path / "victim").write_text(victim.node_id)
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    killed = []
+
+    def kill(index, result):
+        if not killed:
+            wait_for((tmp_path / "held").exists)
+            cluster.remove_node(victim, allow_graceful=False)
+            killed.append(index)
+
+    # Results of this size stay on the node that made them until they are asked for.
+    cells = [Draw(seed, 50_000, tmp_path) for seed in range(12)]
+    results = run_grid(draw, cells, jobs=6, cluster="ray", on_result=kill)
+
+    begun = [note.name.split("-")[1:3] for note in tmp_path.glob("begun-*")]
+    held = (tmp_path / "held").read_text()
+    nodes = [node for seed, node in begun if seed == held]
+    assert victim.node_id in nodes  # it was under way there,
+    assert len(set(nodes)) == 2  # and was begun again elsewhere
+    assert len([node for _, node in begun if node == victim.node_id]) == 3
+    expected = run_grid(draw, [Draw(seed, 50_000) for seed in range(12)], jobs=1)
+    np.testing.assert_array_equal(results, expected)
+
+
+@uses_ray
+def test_a_ray_client_gives_what_one_process_gives(ray, cluster):
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        port = server.getsockname()[1]
+    options = {"object_store_memory": OBJECT_STORE, "ray_client_server_port": port}
+    cluster.add_node(num_cpus=2, include_dashboard=False, **options)
+    cells = [Draw(seed) for seed in range(4)]
+    results = run_grid(draw, cells, cluster=f"ray://127.0.0.1:{port}")
+    np.testing.assert_array_equal(results, run_grid(draw, cells, jobs=1))

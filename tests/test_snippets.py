@@ -34,8 +34,8 @@ SMALL = {  # options for less work, unless the command has them
 }
 # Libraries of which not all are installed everywhere; they may warn.
 OTHERS = ("d3rlpy", "minari", "ray", "torchrl")
-# A window, and every training: their options are checked only.
-TOO_MUCH = ("play", "--all")
+# A window, a cluster, and every training: their options are checked only.
+TOO_MUCH = ("play", "--cluster", "--all")
 
 pytestmark = [
     pytest.mark.slow,

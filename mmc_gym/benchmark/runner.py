@@ -23,9 +23,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from mmc_gym._errors import MismatchWarning, UserError, require_whole
+from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
-from mmc_gym._grid import CellError, run_grid
+from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, resolve_all
@@ -211,6 +211,7 @@ def benchmark(
     seed: int = 0,
     *,
     jobs: int | None = None,
+    cluster: str | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
@@ -226,6 +227,7 @@ def benchmark(
         episodes: in each environment; where trials are numbered each is played once instead.
         seed: of the starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
+        cluster: where, see `run_grid`.
         env_kwargs: arguments of all environments.  A `control` among them is for agents that act
             by several control modes, or do not declare one.
         interface: of your own environments, see `compare`.
@@ -240,8 +242,7 @@ def benchmark(
     scenarios = find_scenarios(environments, given, interface)
     found = resolve_all(agents, allow_pickle=allow_pickle)
     episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
-    if jobs is not None:
-        require_whole("jobs", jobs)
+    check_workers(jobs, cluster)
     settings = {name: _settings(one) for name, one in scenarios.items()}
     store = check_folder(out, "out")
     begun = update_manifest(store, partial(_joined, store, settings, found, episodes, seed))
@@ -272,7 +273,7 @@ def benchmark(
         return manifest.model_copy(update=known | _found(store))
 
     try:
-        run_grid(run_cell, missing, jobs=jobs, on_result=keep, on_failure=bury)
+        run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
     finally:
         manifest = update_manifest(store, updated)
     return manifest

@@ -166,6 +166,7 @@ def test_other_settings_and_wrong_arguments_are_refused(store, tmp_path, monkeyp
         "agent mmc is 'mmc', asked for is 'ik-dls'": {"agents": ["mmc=ik-dls"]},
         "scenario .nowhere. is not accepted": {"environments": ["nowhere"]},
         "jobs must be a whole number": {"jobs": 0},
+        "cluster must be": {"cluster": "dask"},
         "out must be a folder": {"out": tmp_path / "file"},
     }.items():
         with pytest.raises(UserError, match=message):

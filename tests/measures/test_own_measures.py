@@ -31,7 +31,8 @@ def half_way_time(episode):
     return int((episode.distances <= episode.distances[0] / 2).argmax()) * episode.control_step
 
 if __name__ == "__main__":
-    benchmark(["mmc", "ik-dls"], Path(sys.argv[1]), ["random"], 3, jobs=2)
+    cluster = sys.argv[2] if len(sys.argv) > 2 else None
+    benchmark(["mmc", "ik-dls"], Path(sys.argv[1]), ["random"], 3, jobs=2, cluster=cluster)
 """
 
 
@@ -48,11 +49,17 @@ def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_workers_take_the_measures_of_modules_and_scripts(tmp_path):
+@pytest.mark.parametrize("cluster", [None, "ray"])
+def test_workers_take_the_measures_of_modules_and_scripts(tmp_path, monkeypatch, cluster):
+    if cluster == "ray":
+        pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    monkeypatch.setenv("RAY_TMPDIR", "/tmp")  # short enough for the names of sockets
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
     (tmp_path / "my_measures.py").write_text(MODULE)
     (tmp_path / "script.py").write_text(SCRIPT)
     store = tmp_path / "store"
-    command = [sys.executable, str(tmp_path / "script.py"), str(store)]
+    command = [sys.executable, str(tmp_path / "script.py"), str(store), *filter(None, [cluster])]
     subprocess.run(command, check=True, timeout=300)
     episodes = read_episodes(store)
     assert episodes["steps_to_move"].notna().all() and episodes["half_way_time"].gt(0).all()
@@ -60,7 +67,8 @@ def test_workers_take_the_measures_of_modules_and_scripts(tmp_path):
     # A report needs the store alone, not the code of the measures.
     page = write_report(store, store / "report.html", resamples=50).read_text()
     assert "half-way time" in page and "steps to move" in page
-    changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
-    (tmp_path / "my_measures.py").write_text(changed)
-    subprocess.run(command, check=True, timeout=300)
-    assert read_episodes(store)["steps_to_move"].eq(-1).all()  # it is taken anew
+    if cluster is None:
+        changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
+        (tmp_path / "my_measures.py").write_text(changed)
+        subprocess.run(command, check=True, timeout=300)
+        assert read_episodes(store)["steps_to_move"].eq(-1).all()  # it is taken anew
