@@ -158,6 +158,7 @@ def compare(
     seed: Number = 0,
     out: Place = Path("runs/compare"),
     interface: Text = None,
+    wrapper: Names = (),
     explain: Switch = False,
     more: PlayOptions = PLAYED,
 ) -> None:
@@ -173,11 +174,14 @@ def compare(
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
         interface: Of your own environment, module:name: where in its observations things are.
+        wrapper: module:function that wraps the environment of models as in their training;
+            LABEL=module:function for one of them.
         explain: Print all of how to read the numbers.
     """
     from mmc_gym.benchmark import compare
 
-    shared = {**more.load(), "interface": interface, "focus": focus, "explain": explain}
+    shared = {**more.load(), "interface": interface, "focus": focus}
+    shared |= {"wrapper": wrapper, "explain": explain}
     env = _one("scenarios", scenarios, "benchmark plays several")
     compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
@@ -200,6 +204,7 @@ def benchmark(
     jobs: OtherNumber = None,
     cluster: Text = None,
     interface: Text = None,
+    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep every episode in a store, print a ranking.
@@ -215,11 +220,12 @@ def benchmark(
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
+        wrapper: Of models, see compare.
     """
     from mmc_gym.agents import AGENTS, REFERENCE
     from mmc_gym.benchmark import ranking, runner
 
-    shared = {**more.load(), "interface": interface}
+    shared = {**more.load(), "interface": interface, "wrapper": wrapper}
     failed: list[str] = []
     with progress_bar() as bar:
         task = bar.add_task("cells")
@@ -460,6 +466,7 @@ def record(
     out: Place = Path("runs/film.gif"),
     every: Number = 1,
     interface: Text = None,
+    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Write a film of agents at work, side by side, as .gif or .mp4; this needs no display.
@@ -472,11 +479,12 @@ def record(
         out: The file to write; .mp4 needs the extra "video".
         every: Control steps from one picture to the next; more make a smaller file.
         interface: Of your own environment, see compare.
+        wrapper: Of models, see compare.
     """
     from mmc_gym.record import record
 
     shared = {**more.load(), "interface": interface}
-    shared |= {"every": every}
+    shared |= {"every": every, "wrapper": wrapper}
     env = _one("scenarios", scenarios)
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes * len(agents))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, missing, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, Agents, resolve_all
+from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve_all
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import EnvLike, parse_environment
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
@@ -42,6 +42,7 @@ def record(
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
+    wrapper: Wrappers = (),
     every: int = 1,
 ) -> Path:
     """Write a film of agents in the first episodes that `compare` plays, and return its path.
@@ -58,7 +59,8 @@ def record(
     if out.suffix == ".mp4":
         _require_ffmpeg()
     several: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
-    found = resolve_all(several, allow_pickle=allow_pickle, every_training=False)
+    shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
+    found = resolve_all(several, every_training=False, **shared)
     seeds, every = episode_seeds(seed, episodes), require_whole("every", every)
     given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
     scenario = parse_environment(env, given, interface)

@@ -67,6 +67,8 @@ MODEL = """
 import mmc_gym
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stacked import stack
+PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1, wrapper_class=stack)).save("stacked")
 model = PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1))
 model.save("model")
 model.save("mine")
@@ -85,6 +87,9 @@ def fill(folder):
         shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
     (robot,) = blocks((DOCS / "how-to" / "urdf.md").read_text(), "xml")
     (folder / "arm.urdf").write_text(robot)
+    page = (DOCS / "how-to" / "stable-baselines3.md").read_text()
+    stack = next(one for one in blocks(page, "python") if "def stack" in one)
+    (folder / "stacked.py").write_text(stack)
     run(folder, "-c", MODEL)
     for command in ("mmc-gym benchmark", "mmc-gym adapt rotation-30 --agents mmc"):
         run(folder, "-m", "mmc_gym.cli", *small(command))

@@ -16,7 +16,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import safetensors.numpy
@@ -52,7 +52,25 @@ POSITIONS_FROM_DELTAS = ("joint_delta", "joint_position")
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
 """Entries of every row of a learning curve."""
 
-Algorithm = Literal["ppo", "sac", "tqc"]
+
+class Algorithm(NamedTuple):
+    """An algorithm of stable-baselines3 or sb3-contrib."""
+
+    path: str  #: "module:class"
+    distribution: Distribution  #: of its policies' actions, see `PolicyNetwork`
+
+
+ALGORITHMS = {
+    "ppo": Algorithm("stable_baselines3:PPO", "gaussian"),
+    "ppo_lstm": Algorithm("sb3_contrib:RecurrentPPO", "gaussian"),
+    "a2c": Algorithm("stable_baselines3:A2C", "gaussian"),
+    "trpo": Algorithm("sb3_contrib:TRPO", "gaussian"),
+    "sac": Algorithm("stable_baselines3:SAC", "squashed"),
+    "tqc": Algorithm("sb3_contrib:TQC", "squashed"),
+    "td3": Algorithm("stable_baselines3:TD3", "squashed"),
+}
+"""The algorithms by the names that rl_zoo3 gives them."""
+
 Count = Annotated[int, Ge(0)]
 Seconds = Annotated[float, Ge(0), Lt(math.inf)]
 if TYPE_CHECKING:
@@ -76,7 +94,7 @@ class PolicyCard:
     """The card of a trained policy: what it is, and how it was trained."""
 
     name: str  #: of the hyperparameters, such as "ppo"
-    algorithm: Algorithm
+    algorithm: str  #: a key of `ALGORITHMS`
     env_id: str  #: the environment that it was trained in
     control: Control  #: the control mode that its actions are of
     segment_count: Annotated[int, Gt(0)]
@@ -102,7 +120,9 @@ class PolicyCard:
     def _check(self) -> Self:
         if self.base_agent not in ("", *BASE_AGENTS):
             raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)} or empty")
-        if self.distribution != ("gaussian" if self.algorithm == "ppo" else "squashed"):
+        if self.algorithm not in ALGORITHMS:
+            raise ValueError(f"algorithm must be one of {list(ALGORITHMS)}")
+        if self.distribution != ALGORITHMS[self.algorithm].distribution:
             raise ValueError(f"distribution must be that of {self.algorithm!r}")
         if self.body is not None and len(self.body.segment_lengths) != self.segment_count:
             raise ValueError(f"body must have {self.segment_count} segments")
@@ -156,7 +176,8 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 class PolicyAgent(Agent[Any]):
     """A trained policy, alone or as the correction of another agent.
 
-    The state is that of the other agent, or the policy's memory, (..., steps, 2 N + 4); or None.
+    The state is that of the other agent, or the policy's memory, (..., steps, 2 N + 4), or that of
+    its LSTM, (..., 2, units); or None.
     """
 
     def __init__(
@@ -187,6 +208,8 @@ class PolicyAgent(Agent[Any]):
         inputs += self._history.size if self._history else 0
         if network.input_size != inputs:
             raise UserError(f"network must take {inputs} features, got {network.input_size}")
+        if network.memory_units and (card.base_agent or self._history):
+            raise UserError("network must have no LSTM if it corrects an agent or has a history")
         self.card = card
         self.training_steps = card.training_steps
         self._network = network
@@ -225,6 +248,10 @@ class PolicyAgent(Agent[Any]):
             proposal, state = self._base.predict(observation, state, episode_start)
             seen = np.concatenate((seen, proposal), axis=-1)
             action = corrected(proposal, self._network.act(seen, random))
+        elif units := self._network.memory_units:
+            start = partial(np.zeros, (*seen.shape[:-1], 2, units), np.float32)
+            memory = resumed(state, start, seen.shape[:-1], episode_start, self._layouts)
+            action, state = self._network.act_from(memory, seen, random)
         else:
             check_no_state(state)
             action = self._network.act(seen, random)

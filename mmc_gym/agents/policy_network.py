@@ -8,10 +8,13 @@ The network is a small MLP that gives the mean of an action, and its spread.
     h_0 = x,  h_k = f(W_k h_{k−1} + b_k),  mean = W h_K + b,  log σ constant, or = W' h_K + b'
 
     gaussian (PPO):            action = clip(mean + σ ε, −1, 1)
-    squashed (SAC and TQC):    action = tanh(mean + σ ε)
+    squashed (SAC, TQC, TD3):  action = tanh(mean + σ ε)
 
-with ε = 0 for the deterministic action.  It gives the actions of the stable-baselines3 policy that
-the weights are from, to rounding errors, without PyTorch, and for one arm several times faster.
+with ε = 0 for the deterministic action.  A2C, TRPO and RecurrentPPO are as PPO, the last with a
+layer of LSTM units between x and h_1; TD3 has no spread.  After a training behind `VecNormalize`,
+x = clip((features − mean) / deviation, −c, c).  It gives the actions of the stable-baselines3
+policy that the weights are from, to rounding errors, without PyTorch, and for one arm several times
+faster.
 
 A policy with a memory also sees its `History` of observations and actions.
 """
@@ -34,6 +37,7 @@ Tensors = Mapping[str, Float32]
 Activation = Literal["relu", "tanh"]
 Distribution = Literal["gaussian", "squashed"]
 
+_SEEN = ("mean", "deviation", "clip")
 _LOG_STD_RANGE = (-20.0, 2.0)  # stable-baselines3's, where the spread is an output
 
 
@@ -59,18 +63,24 @@ class PolicyNetwork:
 
         Tensors are float32: "hidden.K.weight" (out, in) and "hidden.K.bias" (out,) for each layer K
         from 0, "mean.weight" and "mean.bias", and either "log_std" (actions,) or "log_std.weight"
-        and "log_std.bias".  A missing one raises a ValueError.
+        and "log_std.bias".  A missing one raises a ValueError.  Optional are "seen.mean" and
+        "seen.deviation" (in,) and "seen.clip" (1,); and the LSTM's "lstm.weight_ih" (4 units, in),
+        "lstm.weight_hh" (4 units, units) and "lstm.bias" (4 units,), in torch's order of gates.
         """
         depth = sum(name.startswith("hidden.") for name in tensors) // 2
         self.tensors = dict(tensors)
+        self._is_normalized = "seen.mean" in tensors
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
+        #: units of its LSTM, 0 without one
+        self.memory_units = len(tensors["lstm.bias"]) // 4 if "lstm.bias" in tensors else 0
+        first = "lstm.weight_ih" if self.memory_units else "hidden.0.weight"
         try:
             self._hidden = [_Layer.named(f"hidden.{layer}", tensors) for layer in range(depth)]
             self._mean = _Layer.named("mean", tensors)
             is_constant = "log_std" in tensors
             self._log_std = None if is_constant else _Layer.named("log_std", tensors)
-            self.input_size: int = tensors["hidden.0.weight"].shape[-1]
+            self.input_size: int = tensors[first].shape[-1]
         except KeyError as error:
             raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None
 
@@ -80,7 +90,32 @@ class PolicyNetwork:
         They are deterministic without a generator that draws ε.  Each row is multiplied by itself:
         sums over a whole batch round differently, and an action would depend on how many there are.
         """
-        hidden = features[..., None, :]
+        return self._act(self._normalized(features), random)
+
+    def act_from(
+        self, memory: Float32, features: Float32, random: np.random.Generator | None = None
+    ) -> tuple[Float32, Float32]:
+        """Return what `act` does for a network with an LSTM, and its memory after that.
+
+        The memory is the LSTM's output and cell, (..., 2, units), zeros at the start.
+        """
+        output, cell = memory[..., :1, :], memory[..., 1:, :]
+        gates = self._normalized(features)[..., None, :] @ self.tensors["lstm.weight_ih"].T
+        gates += output @ self.tensors["lstm.weight_hh"].T + self.tensors["lstm.bias"]
+        adds, keeps, new, shows = np.split(gates, 4, axis=-1)
+        cell = _sigmoid(keeps) * cell + _sigmoid(adds) * np.tanh(new)
+        output = _sigmoid(shows) * np.tanh(cell)
+        return self._act(output[..., 0, :], random), np.concatenate((output, cell), axis=-2)
+
+    def _normalized(self, features: Float32) -> Float32:
+        if not self._is_normalized:
+            return features
+        mean, deviation, clip = (self.tensors[f"seen.{name}"] for name in _SEEN)
+        normalized: Float32 = np.clip((features - mean) / deviation, -clip, clip)
+        return normalized
+
+    def _act(self, inputs: Float32, random: np.random.Generator | None) -> Float32:
+        hidden = inputs[..., None, :]
         for weight, bias in self._hidden:
             hidden = hidden @ weight
             hidden += bias
@@ -102,6 +137,10 @@ class PolicyNetwork:
             return self.tensors["log_std"]
         weight, bias = self._log_std
         return np.clip((hidden @ weight)[..., 0, :] + bias, *_LOG_STD_RANGE)
+
+
+def _sigmoid(x: Float32) -> Float32:
+    return np.float32(0.5) * (1 + np.tanh(np.float32(0.5) * x))
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from mmc_gym.agents.registry import (
     Knowledge,
     learned_knowledge,
 )
-from mmc_gym.agents.sb3 import ModelAgent, SavedModel, as_agent
+from mmc_gym.agents.sb3 import AsTrained, ModelAgent, SavedModel, as_agent
 from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface
 
 if TYPE_CHECKING:
@@ -64,6 +64,24 @@ class ResolvedAgent:
     given: Any = None  #: the function or object itself; None for a name or a model
     #: the place of this training among several whose files do not say their seeds
     number: int | None = None
+    #: a function, or "module:function", that puts an environment into the wrappers of its training
+    wrapper: Any = None
+
+    def wrapped(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        """Return an environment in the wrappers of its training."""
+        if self.wrapper is None:
+            return env
+        made = self._wrap(env)
+        accepted = "a function that returns an environment in its wrappers"
+        require(isinstance(made, gym.Env), "wrapper", self.wrapper, accepted)
+        return AsTrained(made)
+
+    @cached_property
+    def _wrap(self) -> Any:
+        given = self.wrapper
+        found = import_object(given, "wrapper") if isinstance(given, str) else given
+        require(callable(found) or given is None, "wrapper", given, "a function")
+        return found
 
     @cached_property
     def factory(self) -> Factory:
@@ -160,12 +178,22 @@ class ResolvedAgent:
 
     @cached_property
     def fingerprint(self) -> str:
-        """A digest (SHA-256) of what it is made of; another one is another agent.
+        """A digest (SHA-256) of what it is made of and of its wrapper; another is another agent.
+
+        Empty where nothing is known.
+        """
+        if self.wrapper is None:
+            return self._digest
+        return hashlib.sha256((self._digest + _digest_of(self.wrapper)).encode()).hexdigest()
+
+    @property
+    def _digest(self) -> str:
+        """A digest of what it is made of.
 
         A policy is made of its weights, and of the code if it corrects another agent; a model of
         its weights and statistics; an agent without a policy of the code of all agents and of the
         network; "module:function" of the module's file, and an object of its pickle.  A change of
-        what these import or read goes unnoticed.  Empty where nothing is known.
+        what these import or read goes unnoticed.
         """
         if self.card is not None:
             if not self.card.base_agent:
@@ -175,11 +203,11 @@ class ResolvedAgent:
             return self.model.digest
         if self.name:
             return "" if self.is_reference else code_digest()
-        return _digest_of_module(self.source) if self.source else _digest_of_pickle(self.given)
+        return _digest_of(self.source or self.given)
 
     def check(self) -> None:
         """Import its module or read its files; raise what `factory` and `card` raise."""
-        _ = self.factory, self.card
+        _ = self.factory, self.card, self._wrap
 
     def __getstate__(self) -> dict[str, Any]:
         # The fingerprint travels along: pickles of one object may differ between processes.
@@ -298,6 +326,11 @@ def with_whole_signature(agent: Any) -> Predictor:
             whole.between_trials = agent.between_trials
         return cast(Predictor, whole)
     return cast(Predictor, agent)
+
+
+def _digest_of(thing: Any) -> str:
+    """Return the SHA-256 of the file of "module:function", or of the pickle of an object."""
+    return _digest_of_module(thing) if isinstance(thing, str) else _digest_of_pickle(thing)
 
 
 def _digest_of_module(source: str) -> str:

@@ -26,7 +26,7 @@ from typing import Any, TypeAlias, cast
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, require, unknown
+from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import AGENTS, REFERENCE
 from mmc_gym.agents.resolved import Factory, ResolvedAgent
@@ -36,6 +36,11 @@ from mmc_gym.interface import InterfacedEnv
 AgentLike: TypeAlias = "str | Path | Predictor | Factory | Callable[[Any], Any]"
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
 """Agents, in order; a mapping gives them labels, and a list in it is several trainings of one."""
+
+Wrapper: TypeAlias = "str | Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]"
+Wrappers: TypeAlias = "Wrapper | Sequence[Wrapper] | Mapping[str, Wrapper]"
+"""A function of an environment, or "module:function", for all models of stable-baselines3; of a
+mapping, or as "LABEL=module:function", for one agent."""
 
 _LONGEST_LABEL = 100  # labels are part of the names of files
 
@@ -61,7 +66,11 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
 
 
 def resolve_all(
-    agents: Agents, *, allow_pickle: bool = False, every_training: bool = True
+    agents: Agents,
+    *,
+    allow_pickle: bool = False,
+    every_training: bool = True,
+    wrapper: Wrappers = (),
 ) -> list[ResolvedAgent]:
     """Return each training of each agent, in the order given, and check all of them.
 
@@ -70,6 +79,7 @@ def resolve_all(
         allow_pickle: see `resolve`.
         every_training: whether the name of an agent that ships trained, such as "ppo", stands for
             all its trainings; or else for that of seed 0.
+        wrapper: puts the environment of a model into the wrappers of its training; see `Wrappers`.
 
     Raises:
         UserError: also for none, or two of the same label and training seed.
@@ -91,6 +101,7 @@ def resolve_all(
         found += _trainings(sources, label, allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
+    found = _with_wrappers(found, wrapper)
     for one in found:
         one.check()
     counts = Counter((one.label, one.training_seed) for one in found)
@@ -100,6 +111,25 @@ def resolve_all(
             f"agents must have different names, got {label} repeatedly; LABEL=... gives another"
         )
     return found
+
+
+def _with_wrappers(agents: list[ResolvedAgent], given: Wrappers) -> list[ResolvedAgent]:
+    """Return the agents with their wrappers; refuse one that no agent is there for."""
+    if isinstance(given, Mapping):
+        wrappers = dict(given)
+    else:
+        several = [given] if isinstance(given, str) or callable(given) else given
+        wrappers = dict(_labelled(one) if isinstance(one, str) else ("", one) for one in several)
+    everyone = wrappers.pop("", None)
+    for label in wrappers:
+        require_choice("the agent of wrapper", label, dict.fromkeys(one.label for one in agents))
+    is_used = everyone is None or any(one.model for one in agents)
+    accepted = "for a model of stable-baselines3 among agents; or LABEL=..., for that agent"
+    require(is_used, "wrapper", everyone, accepted)
+    return [
+        replace(one, wrapper=wrappers.get(one.label, everyone if one.model else None))
+        for one in agents
+    ]
 
 
 def _trainings(

@@ -56,8 +56,9 @@ _DAMAGED = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError),
     *(KeyError, RuntimeError, ValueError),
 )
-# Entries that a policy is made of; no others in a zip file are unpickled.
-_NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
+# Entries that a policy is made of, and what it saw last; no others in a zip file are unpickled.
+_LAST = "_last_obs"
+_NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", _LAST)
 # The last observation before normalization: set by a training behind VecNormalize, and by every
 # off-policy training.
 _ORIGINAL = "_last_original_obs"
@@ -79,6 +80,13 @@ class TrainingEnvironment(NamedTuple):
         except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
             return cls()
         return cls(control, body, _changing_wrappers(env))
+
+
+class AsTrained(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment in the wrappers of a model's training: the user says so, as names may differ.
+
+    stable-baselines3's VecFrameStack, for instance, is two wrappers of Gymnasium.
+    """
 
 
 class ModelAgent(Agent[Any]):
@@ -138,11 +146,13 @@ class ModelAgent(Agent[Any]):
                 f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
+        if any(isinstance(one, AsTrained) for one in wrappers_of(env)):
+            return self
         here = _changing_wrappers(env)
         if lacks := ", ".join(name for name in self.trained_in.wrappers if name not in here):
             raise CannotActError(
                 f"env must be wrapped in {lacks}, as in the training of {self.label}, "
-                "got it without"
+                "got it without: say --wrapper module:function (in Python: wrapper=...)"
             )
         return self
 
@@ -156,6 +166,19 @@ class ModelAgent(Agent[Any]):
         for rms in statistics.values() if isinstance(statistics, Mapping) else [statistics]:
             digest.update(rms.mean.tobytes() + rms.var.tobytes())
         return digest.hexdigest()
+
+
+def _is_outside(observations: Any, space: Any) -> bool | None:
+    """Return whether observations are outside of their space; None if that has no bounds.
+
+    Of normalized ones in `MMCReach-v0` that are 9,999 of 10,000 or more.
+    """
+    if isinstance(space, gym.spaces.Dict):
+        found = [_is_outside(observations[name], one) for name, one in space.items()]
+        return None if None in found else any(found)
+    if not space.is_bounded():
+        return None
+    return bool(np.any((observations < space.low) | (observations > space.high)))
 
 
 def _shape(space: Any) -> Any:
@@ -258,26 +281,21 @@ class SavedModel:
     def load(self) -> ModelAgent:
         """Load the model, if pickles are allowed: that runs the code that they name."""
         _ = self.facts  # read first: it names a missing or wrong file
-        if self.statistics is None and self.facts.get(_ORIGINAL) is not None:
-            # Every off-policy training has this entry, others only behind VecNormalize.
-            if "gae_lambda" not in self.facts:
-                message = (
-                    f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
-                    "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
-                )
-                warnings.warn(message, MismatchWarning, stacklevel=2)
-            else:
-                raise UserError(
-                    f"{self.path} must have the statistics of its VecNormalize in its folder, as "
-                    "env.save('vecnormalize.pkl') writes them, got none"
-                )
+        # Every off-policy training has this entry, others only behind VecNormalize.
+        may_be_normalized = self.statistics is None and self.facts.get(_ORIGINAL) is not None
+        lacks_statistics = UserError(
+            f"{self.path} must have the statistics of its VecNormalize in its folder, as "
+            "env.save('vecnormalize.pkl') writes them, got none"
+        )
+        if may_be_normalized and "gae_lambda" in self.facts:
+            raise lacks_statistics
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
                 "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
             )
         try:
-            policy = self._load_policy()
+            policy, last_seen = self._load_policy()
             normalizer = self.statistics and pickle.loads(self.statistics.read_bytes())
             if not (normalizer is None or hasattr(normalizer, "normalize_obs")):
                 raise TypeError(f"{self.statistics} holds no VecNormalize")
@@ -285,6 +303,17 @@ class SavedModel:
             raise
         except Exception as error:  # whatever unpickled code raises
             raise UserError(f"{self.path} cannot be loaded: {error}") from error
+        if may_be_normalized:
+            seen_in = policy.observation_space
+            is_outside = None if last_seen is None else _is_outside(last_seen, seen_in)
+            if is_outside:
+                raise lacks_statistics
+            if is_outside is None:
+                message = (
+                    f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
+                    "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
+                )
+                warnings.warn(message, MismatchWarning, stacklevel=2)
         return ModelAgent(
             policy,
             normalizer,
@@ -293,7 +322,8 @@ class SavedModel:
             trained_in=TrainingEnvironment(),
         )
 
-    def _load_policy(self) -> Any:
+    def _load_policy(self) -> tuple[Any, Any]:
+        """Return the policy, and the last observations of its training."""
         from stable_baselines3.common.save_util import load_from_zip_file
 
         # Entries in `custom_objects` are not unpickled.
@@ -307,7 +337,7 @@ class SavedModel:
         spaces = data["observation_space"], data["action_space"]
         policy = kind(*spaces, lr_schedule=lambda progress: 0.0, **options)
         policy.load_state_dict(weights["policy"])
-        return policy
+        return policy, data.get(_LAST)
 
 
 def models_in(folder: Path) -> list[Path]:

@@ -26,7 +26,7 @@ from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_tabl
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, resolve, resolve_all
+from mmc_gym.agents.resolver import Agents, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     RESAMPLES,
@@ -70,6 +70,7 @@ def compare(
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
+    wrapper: Wrappers = (),
     explain: bool = False,
 ) -> Comparison:
     """Let agents play the same episodes.
@@ -96,6 +97,9 @@ def compare(
             Measures of what it does not report are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
+        wrapper: a function of the environment, or "module:function", that puts it into the wrappers
+            of a model's training, such as a stack of frames; for all models of stable-baselines3,
+            or of a mapping for those labels.
         explain: whether to print all of how to read the numbers, see `Comparison.explanation`.
 
     >>> comparison = compare(["random"], episodes=2)
@@ -106,7 +110,7 @@ def compare(
     >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
     {'random': 2, 'minimum jerk (ideal)': 2}
     """
-    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
+    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
     chosen = _focus(found, [focus] if isinstance(focus, str) else focus)
     found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
     seeds, seed = episode_seeds(seed, episodes), int(seed)

@@ -28,7 +28,7 @@ from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, resolve_all
+from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
@@ -215,6 +215,7 @@ def benchmark(
     env_kwargs: Mapping[str, Any] | None = None,
     interface: Any = None,
     allow_pickle: bool = False,
+    wrapper: Wrappers = (),
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
     """Let agents play the benchmark's environments; keep all in a store, and return its manifest.
@@ -232,6 +233,7 @@ def benchmark(
             by several control modes, or do not declare one.
         interface: of your own environments, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
+        wrapper: of models, see `compare`.
         on_progress: called at the start, and whenever a cell is finished.
 
     Raises:
@@ -240,7 +242,7 @@ def benchmark(
     given = dict(env_kwargs or {})
     asked = given.pop("control", None)
     scenarios = find_scenarios(environments, given, interface)
-    found = resolve_all(agents, allow_pickle=allow_pickle)
+    found = resolve_all(agents, allow_pickle=allow_pickle, wrapper=wrapper)
     episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
     check_workers(jobs, cluster)
     settings = {name: _settings(one) for name, one in scenarios.items()}

@@ -24,8 +24,8 @@ Episodes of one policy are never drawn as if each came from its own training.
                   the same value, which says nothing about others.
     shares        The share of episodes that a single policy succeeds in, in one environment, has
                   Wilson's interval instead: after 0 of 20 a bootstrap gives [0, 0], Wilson's is
-                  [0, 0.16].  So it is in several environments if all episodes are alike, of as
-                  many episodes as there are instances.
+                  [0, 0.16].  In several environments it has the mean of these if no resample
+                  differs, as all episodes of each environment are alike.
 
 A plain sample is the simplest case: one policy in one environment (`sample_interval`).
 
@@ -200,7 +200,8 @@ class Bootstrap:
         known = [table[~np.isnan(table)] for table in tables]
         if not np.isin(np.concatenate(known), (0.0, 1.0)).all():
             return found
-        return Estimate(found.estimate, *wilson_interval(found.estimate, max(map(len, known))))
+        ends = [wilson_interval(float(one.mean()), len(one)) for one in known if len(one)]
+        return Estimate(found.estimate, *np.mean(ends, axis=0).tolist())
 
     def difference(self, agent: str, other: str, statistic: Statistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""

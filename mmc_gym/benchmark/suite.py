@@ -102,13 +102,13 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
         CannotActError: if the agent cannot act in the environment.
     """
     asked = agent.own_control or played.arguments.get("control")
-    made = played.make(asked or agent.control)
+    made = agent.wrapped(played.make(asked or agent.control))
     check_environment(made)
     try:
         player = agent.factory(made)
     except ControlError as refusal:
         made.close()
-        made = played.make(refusal.control)
+        made = agent.wrapped(played.make(refusal.control))
         player = agent.factory(made)
     if not asked and isinstance(player, ModelAgent) and player.control is None:
         warnings.warn(

@@ -1,17 +1,20 @@
 """Hyperparameters: YAML files in rl_zoo3's form, which hold stable-baselines3's own arguments.
 
 A file maps ids of environments to entries.  The keys of an entry are arguments of the algorithm's
-constructor (`PPO`, `SAC` or `TQC`), and
+constructor (see `mmc_gym.agents.policy.ALGORITHMS`), and
 
     n_timesteps       environment steps of the training
     n_envs            number of environments
     env_kwargs        arguments of the environment
     vec_env_wrapper   a wrapper around them, a mapping of it to its arguments, or a list of these
+    normalize         true, or arguments of `VecNormalize`, which is put around these
+    noise_type        of actions in training: normal, or ornstein-uhlenbeck
+    noise_std         its standard deviation
 
 Values are those of the constructor, and checked by its annotations.  In addition, any schedule may
-be `lin_START`, which falls linearly to 0; `policy_kwargs` may be a text
-`dict(net_arch=[64], activation_fn=nn.ReLU)`; and classes are given by the names in
-`Recipe.classes`.  No code from a file is run.
+be `lin_START`, which falls linearly to 0; `policy_kwargs` and `normalize` may be a text, such as
+`dict(net_arch=[64], activation_fn=nn.ReLU)` or `{'norm_reward': False}`; and classes are given by
+the names in `Recipe.classes`.  No code from a file is run.
 """
 
 from __future__ import annotations
@@ -27,15 +30,17 @@ from functools import partial
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium as gym
+import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
-from sb3_contrib import TQC
-from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
 from mmc_gym._errors import (
     UserError,
@@ -47,10 +52,10 @@ from mmc_gym._errors import (
     unknown,
 )
 from mmc_gym._files import read_yaml_file
-from mmc_gym.agents.policy import Algorithm
+from mmc_gym.agents.policy import ALGORITHMS
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
 
-ALGORITHMS: dict[Algorithm, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+NOISES = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
 SUFFIXES = (".yml", ".yaml")
 _SHIPPED = Path(str(files("mmc_gym.training") / "hyperparams"))
 
@@ -77,7 +82,7 @@ class Recipe:
         return replace(self, hyperparameters={**self.hyperparameters, **changes})
 
     @property
-    def algorithm(self) -> Algorithm:
+    def algorithm(self) -> str:
         """The algorithm: the name up to the first "-"."""
         name = self.name.partition("-")[0]
         if name not in ALGORITHMS:
@@ -88,7 +93,8 @@ class Recipe:
     @property
     def algorithm_class(self) -> type[BaseAlgorithm]:
         """The algorithm's class."""
-        return ALGORITHMS[self.algorithm]
+        found: type[BaseAlgorithm] = resolve_name(ALGORITHMS[self.algorithm].path)
+        return found
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -134,8 +140,15 @@ class Recipe:
         try:
             for wrapper, arguments in settings["vec_env_wrapper"]:
                 env = wrapper(env, **arguments)
+            env = VecMonitor(env)  # inside, so that its returns are not normalized
+            if settings["normalize"] is not None:
+                env = VecNormalize(env, **{**settings["normalize"], "gamma": settings["gamma"]})
+            if settings["noise_type"] is not None:
+                mean = np.zeros(env.action_space.shape or ())
+                noise = NOISES[settings["noise_type"]]
+                options["action_noise"] = noise(mean, mean + settings["noise_std"])
             return self.algorithm_class(
-                env=VecMonitor(env),
+                env=env,
                 seed=seed,
                 device=device,
                 tensorboard_log=tensorboard,
@@ -186,13 +199,24 @@ def _parse_wrappers(value: Any) -> Any:
     return [pair for part in pairs for pair in part]
 
 
-def _parse_policy_options(value: Any) -> Any:
-    """Read a mapping, or the text that rl_zoo3 evaluates, with the name of an activation."""
+def _parse_mapping(value: Any) -> Any:
+    """Read the text that rl_zoo3 evaluates to a mapping; return anything else as it is."""
     if isinstance(value, str):
         try:
-            value = _parse_keywords(ast.parse(value, mode="eval").body)
+            return _parse_keywords(ast.parse(value, mode="eval").body)
         except Exception:  # whatever a text that is no Python raises
             raise ValueError("must be a mapping, or a text such as dict(net_arch=[64])") from None
+    return value
+
+
+def _parse_normalization(value: Any) -> Any:
+    """Read the arguments of `VecNormalize`, or true for none; false is None."""
+    return {True: {}, False: None}[value] if isinstance(value, bool) else _parse_mapping(value)
+
+
+def _parse_policy_options(value: Any) -> Any:
+    """Read a mapping, or the text of one, with the name of an activation."""
+    value = _parse_mapping(value)
     if isinstance(value, dict) and "activation_fn" in value:
         name = str(value["activation_fn"]).removeprefix("nn.").lower()
         if name not in ACTIVATIONS:
@@ -216,6 +240,9 @@ _OUR_KEYS: dict[str, Any] = {  # which are no arguments of the algorithm: type, 
     "n_envs": (_Count, 1),
     "env_kwargs": (dict[str, Any], {}),
     "vec_env_wrapper": (Annotated[list[_WRAPPER], BeforeValidator(_parse_wrappers)], []),
+    "normalize": (Annotated[dict[str, Any] | None, BeforeValidator(_parse_normalization)], None),
+    "noise_type": (Literal["normal", "ornstein-uhlenbeck"] | None, None),
+    "noise_std": (Annotated[float, Field(ge=0), _Numeric], 0.0),
 }
 _TYPES = {  # of arguments of algorithms, where their annotation says less
     "n_steps": _Count,
@@ -234,7 +261,8 @@ def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
     for name, parameter in _parameters(algorithm).items():
         kind = _TYPES.get(name, Annotated[parameter.annotation, _Numeric])
         keys[name] = kind, parameter.default
-    policy = _class_from(algorithm.policy_aliases["MlpPolicy"], "MlpPolicy")
+    alias = next(name for name in algorithm.policy_aliases if name.startswith("Mlp"))
+    policy = _class_from(algorithm.policy_aliases[alias], alias)
     return {**keys, "policy": (policy, ...), **_OUR_KEYS}
 
 

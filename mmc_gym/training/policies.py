@@ -5,7 +5,7 @@ so that rl_zoo3 finds it too.
 
 A checkpoint is the state of a model as safetensors, from which a training resumes: weights and
 optimizers, the entropy coefficient if it is learned, the step counts, the filled part of the
-replay buffer, and the SHA-256 of all this.
+replay buffer, the statistics of a `VecNormalize`, and the SHA-256 of all this.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.vec_env import VecNormalize
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
@@ -38,6 +40,7 @@ from mmc_gym.agents.policy_network import (
 )
 from mmc_gym.interface import ObservationLayout
 
+_NO_SPREAD = -80.0  # the logarithm of a spread that changes no action
 ACTIVATIONS: dict[Activation, Any] = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
 
 
@@ -70,33 +73,54 @@ class TQCGoalPolicy(TQCPolicy):
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 
-def export_policy(policy: BasePolicy) -> PolicyNetwork:
-    """Return a copy of the network of a policy of PPO, SAC or TQC.
+def export_policy(policy: BasePolicy, normalizer: VecNormalize | None = None) -> PolicyNetwork:
+    """Return a copy of the network of a policy of one of `ALGORITHMS`.
+
+    The `normalizer` is that of its observations.
 
     Raises:
         ValueError: if the policy has layers or a features extractor that we cannot copy.
     """
-    actor: Any
-    distribution: Distribution = "gaussian"
+    actor: Any = getattr(policy, "actor", policy)
+    distribution: Distribution = "gaussian" if actor is policy else "squashed"
     if isinstance(policy, ActorCriticPolicy):
-        actor = policy
-        hidden, mean = actor.mlp_extractor.policy_net, actor.action_net
-    else:
-        actor, distribution = policy.actor, "squashed"
-        hidden, mean = actor.latent_pi, actor.mu
+        hidden, mean, log_std = actor.mlp_extractor.policy_net, actor.action_net, actor.log_std
+    elif hasattr(actor, "latent_pi"):
+        hidden, mean, log_std = actor.latent_pi, actor.mu, actor.log_std
+    else:  # TD3's, which ends with tanh
+        hidden, mean = actor.mu[:-2], actor.mu[-2]
+        log_std = torch.full_like(mean.bias, _NO_SPREAD)
     layer = actor.features_extractor
     if not isinstance(layer, (FlattenExtractor, FlatObservation)):
         raise ValueError(f"policy must see the observation as it is, got {layer}")
-    return export_network(hidden, mean, actor.log_std, distribution)
+    before: dict[str, torch.Tensor] = {}
+    if normalizer is not None and normalizer.norm_obs:
+        rms = normalizer.obs_rms
+        if isinstance(rms, dict):
+            raise ValueError("normalize must have norm_obs False for a goal environment")
+        deviation = np.sqrt(rms.var + normalizer.epsilon)
+        seen = {"mean": rms.mean, "deviation": deviation, "clip": [normalizer.clip_obs]}
+        before |= {f"seen.{name}": torch.Tensor(value) for name, value in seen.items()}
+    if lstm := getattr(actor, "lstm_actor", None):
+        if lstm.num_layers > 1:
+            raise ValueError(f"n_lstm_layers must be 1, got {lstm.num_layers}")
+        before |= {f"lstm.weight_{one}": getattr(lstm, f"weight_{one}_l0") for one in ("ih", "hh")}
+        before["lstm.bias"] = lstm.bias_ih_l0 + lstm.bias_hh_l0
+    return export_network(hidden, mean, log_std, distribution, before)
 
 
 def export_network(
-    hidden: Iterable[torch.nn.Module], mean: Any, log_std: Any, distribution: Distribution
+    hidden: Iterable[torch.nn.Module],
+    mean: Any,
+    log_std: Any,
+    distribution: Distribution,
+    before: Mapping[str, torch.Tensor] | None = None,
 ) -> PolicyNetwork:
     """Return a copy of an actor's layers as arrays.
 
     Linear `hidden` layers, each followed by the same of `ACTIVATIONS`, lead to the layer `mean` of
-    the actions; `log_std` is a layer or a parameter.
+    the actions; `log_std` is a layer or a parameter.  What is `before` them has the names of
+    `PolicyNetwork`.
     """
     hidden = list(hidden)
     linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
@@ -104,7 +128,7 @@ def export_network(
     activation = next((name for name, kind in ACTIVATIONS.items() if kinds == {kind}), None)
     if activation is None:
         raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between layers, got {kinds}")
-    parts = {"mean": mean, "log_std": log_std}
+    parts = {"mean": mean, "log_std": log_std, **(before or {})}
     parts |= {f"hidden.{index}": layer for index, layer in enumerate(linear)}
     tensors: dict[str, Float32] = {}
     for name, part in parts.items():
@@ -130,10 +154,14 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
         if "state" in part and "param_groups" in part:
             for index, moments in part["state"].items():
                 for moment, value in moments.items():
-                    tensors[f"optimizer/{name}/{index}/{moment}"] = value
+                    tensors[f"optimizer/{name}/{index}/{moment}"] = torch.as_tensor(value)
         else:
             tensors |= {f"module/{name}/{key}": value for key, value in part.items()}
     tensors |= {f"variable/{name}": tensor for name, tensor in _variables(model).items()}
+    for name, statistics in _statistics(model).items():
+        for moment in ("mean", "var", "count"):
+            value = np.array(getattr(statistics, moment), np.float64)
+            tensors[f"statistics/{name}/{moment}"] = torch.from_numpy(value)
     counts = {"steps": model.num_timesteps, "updates": model._n_updates}
     buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
@@ -176,6 +204,8 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
         kind, name, *rest = key.split("/")
         if kind == "variable":
             variables[name].data.copy_(tensor)
+        elif kind == "statistics":
+            setattr(_statistics(model)[name], rest[0], tensor.numpy())
         elif kind == "module":
             parameters[name]["/".join(rest)] = tensor
         elif kind == "optimizer":
@@ -187,12 +217,19 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
     if buffer is not None:
         buffer.pos, buffer.full = counts["position"], counts["full"]
     model.num_timesteps, model._n_updates = counts["steps"], counts["updates"]
+    model._last_obs = ()  # or stable-baselines3 resets the environments, which counts in statistics
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
     """Return the parameters outside of modules: the logarithm of a learned entropy coefficient."""
     learned = getattr(model, "log_ent_coef", None)
     return {} if learned is None else {"log_ent_coef": learned}
+
+
+def _statistics(model: BaseAlgorithm) -> dict[str, RunningMeanStd]:
+    """Return the statistics of observations and returns of the model's `VecNormalize`."""
+    known = vars(model.get_vec_normalize_env() or object)
+    return {name: known[name] for name in ("obs_rms", "ret_rms") if name in known}
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:

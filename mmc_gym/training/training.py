@@ -161,9 +161,8 @@ class Training:
         Raises:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
-        return export_policy(model.policy), {
-            "base_agent": getattr(model.get_env(), "base_agent", "")
-        }
+        network = export_policy(model.policy, model.get_vec_normalize_env())
+        return network, {"base_agent": getattr(model.get_env(), "base_agent", "")}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
         """Return the head of the checkpoint; None if there is none.  Refuse another training's."""
@@ -204,6 +203,10 @@ class Training:
         model.set_random_seed(seed)
         model._last_obs = env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+        if normalizer := model.get_vec_normalize_env():
+            model._last_original_obs = normalizer.get_original_obs()
+        if noise := getattr(model, "action_noise", None):
+            noise.reset()
         buffer = getattr(model, "replay_buffer", None)
         if isinstance(buffer, HerReplayBuffer):  # it has to know where episodes begin
             buffer._current_ep_start[:] = buffer.pos

@@ -1,12 +1,19 @@
 """Models of stable-baselines3 as agents: as they were trained, or with a word about it."""
 
+import inspect
 import shutil
 import zipfile
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
-from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers import (
+    FlattenObservation,
+    FrameStackObservation,
+    RescaleAction,
+    TransformObservation,
+)
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
@@ -130,10 +137,71 @@ def test_a_model_is_refused_where_a_wrapper_of_its_training_is_missing(env):
     assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
 
 
+def stacked(env):
+    return FlattenObservation(FrameStackObservation(env, 2, padding_type="zero"))
+
+
+def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
+    venv = make_vec_env("MMCReach-v0", 1)
+    models = {
+        "gymnasium": PPO(
+            "MlpPolicy", make_vec_env("MMCReach-v0", 1, wrapper_class=stacked), **TINY
+        ),
+        "sb3": PPO("MlpPolicy", VecFrameStack(venv, 2), **TINY),
+    }
+    found = compare({**models, "mmc": "mmc"}, episodes=2, wrapper=stacked)
+    # Each acts as stable-baselines3 itself lets it.
+    seed = int(found.episodes["seed"].iloc[0])
+    for label, model in models.items():
+        env = model.get_env()
+        env.seed(seed)
+        observation = env.reset()
+        for _ in range(99):
+            observation, _, _, infos = env.step(model.predict(observation, deterministic=True)[0])
+        expected = infos[0]["end_effector"]
+        np.testing.assert_allclose(found.recorded[label][0].hands[99], expected, atol=1e-4)
+    # By files, and in a benchmark, which notices another wrapper.
+    for label, model in models.items():
+        model.save(tmp_path / label)
+    source = inspect.getsource(stacked)
+    (tmp_path / "own_stack.py").write_text(
+        f"from gymnasium.wrappers import FlattenObservation, FrameStackObservation\n{source}"
+    )
+    monkeypatch.chdir(tmp_path)
+    named = {"wrapper": ["sb3=own_stack:stacked"], "allow_pickle": True}
+    control = {"env_kwargs": {"control": "joint_delta"}}
+    for reused in (0, 2):
+        run = benchmark(["sb3.zip", "mmc"], "store", ["random"], 2, jobs=1, **named, **control)
+        assert (run.not_played, run.reused) == ([], reused)
+    episodes = pd.read_parquet(tmp_path / "store" / "episodes")
+    hands = episodes[episodes["agent"] == "sb3"].sort_values("instance")["final_distance"]
+    expected = found.episodes[found.episodes["agent"] == "sb3"]["final_distance"]
+    np.testing.assert_allclose(hands, expected)
+    resolved = resolve_all(["sb3.zip"], wrapper=stacked, allow_pickle=True)[0].fingerprint
+    assert resolved not in (None, resolve("sb3.zip").fingerprint)
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "message"),
+    [
+        ("builtins:repr", "wrapper must be a function that returns an environment in its wrappers"),
+        ("no_module:stack", "wrapper 'no_module:stack' cannot be imported"),
+        (
+            "other=builtins:repr",
+            "the agent of wrapper 'other' is not accepted. It may be PPO or mmc",
+        ),
+    ],
+)
+def test_a_wrapper_that_is_none_is_refused(model, wrapper, message):
+    with pytest.raises((UserError, TypeError), match=message):
+        compare([model, "mmc"], episodes=1, wrapper=wrapper)
+    with pytest.raises(UserError, match="wrapper must be for a model of stable-baselines3 among"):
+        compare(["mmc"], episodes=1, wrapper="builtins:repr")
+
+
 OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
 
 
-@pytest.mark.filterwarnings("ignore:.* does not say whether it was trained behind a VecNormalize")
 def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, env):
     sac = SAC("MlpPolicy", env, device="cpu", **OFF_POLICY)
     for name, one in {"new": sac, "sac": sac.learn(12), "plain": trained()}.items():
@@ -161,12 +229,22 @@ def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
     assert resolve(tmp_path / "plain.zip").model.statistics is None
 
 
-def test_a_file_that_does_not_tell_of_statistics_is_warned_of(tmp_path, env):
-    """Those of off-policy algorithms do not."""
+def test_a_file_that_lacks_its_statistics_is_refused_or_warned_of(tmp_path, env):
+    """Those of off-policy algorithms do not say whether they need them."""
+
+    def make():
+        return mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
+
     envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
     SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
+    with pytest.raises(UserError, match="must have the statistics of its VecNormalize"):
+        make()
+    unbounded = lambda env: TransformObservation(env, lambda seen: seen, space)  # noqa: E731
+    space = gym.spaces.Box(-np.inf, np.inf, (15,))
+    envs = make_vec_env("MMCReach-v0", 1, wrapper_class=unbounded)
+    SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
     with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
-        mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
+        make()
 
 
 def test_another_arm_is_warned_of_and_other_observations_are_refused(env):

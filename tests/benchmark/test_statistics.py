@@ -79,6 +79,10 @@ def test_a_share_of_one_policy_has_wilsons_interval(successes, count):
     both = Bootstrap.of(pd.concat([rows("a", values, "E"), rows("a", values, "F")]))
     alike = successes in (0, count)  # then the bootstrap has no width
     assert (both.estimate("a", "mean").low == found.low) == alike
+    if alike:  # as many fail elsewhere
+        half = Bootstrap.of(pd.concat([rows("a", values, "E"), rows("a", 1 - values, "F")]))
+        low, high = half.estimate("a", "mean")[1:]
+        assert (low, 1 - high) == pytest.approx([(ends.low + 1 - ends.high) / 2] * 2)
     several = sample_interval([values, values], "mean")
     ends = percentile_interval(both.distribution("a", "mean")[1:])
     assert (several.low, several.high) == pytest.approx(ends, abs=0.1)

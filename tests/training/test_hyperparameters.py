@@ -48,7 +48,7 @@ def test_unknown_names_and_environments_are_errors():
         read_recipe("dqn")
     with pytest.raises(UserError, match="env for ppo 'Pendulum-v1' is not accepted"):
         read_recipe("ppo", "Pendulum-v1")
-    with pytest.raises(UserError, match="name must begin with one of ppo, sac, tqc, got 'dqn'"):
+    with pytest.raises(UserError, match=r"name must begin with one of ppo, .*, td3, got 'dqn'"):
         _ = Recipe("dqn", "MMCReach-v0", {}).settings
     with pytest.raises(UserError, match="policy must be given; n_timesteps must be given"):
         _ = Recipe("ppo", "MMCReach-v0", {}).settings
@@ -105,6 +105,10 @@ def test_a_leg_is_of_whole_rollouts(one, steps):
         ("policy_kwargs", {"net_arch": {"pi": [8]}}, "dict(net_arch=dict(pi=[8]),)"),
         ("policy_kwargs", {"activation_fn": "tanh"}, "dict(activation_fn=nn.Tanh)"),
         ("vec_env_wrapper", RESIDUAL, [RESIDUAL]),
+        ("normalize", True, {}),
+        ("normalize", {"norm_obs": True}, "{'norm_obs': True}"),
+        ("normalize", {"norm_reward": False}, "dict(norm_reward=False)"),
+        ("normalize", False, None),
         ("gamma", 0.1, "1e-1"),
         ("batch_size", 100, 1e2),
         ("n_timesteps", 1000, "1e3"),
@@ -149,6 +153,8 @@ def test_all_that_an_entry_names_is_made():
         # A leg that would never end.
         ("env_kwargs", {"max_episode_steps": None}, "max_episode_steps must be a whole number"),
         ("n_steps", 0, "n_steps must be at least 1"),
+        ("normalize", "os.system('ls')", "normalize must be a mapping"),
+        ("noise_type", "white", "noise_type must be 'normal' or 'ornstein-uhlenbeck'"),
     ],
 )
 def test_a_mistake_is_named_with_the_value_and_what_is_accepted(key, value, message):

@@ -30,7 +30,14 @@ OFF_POLICY = {"batch_size": 32, "buffer_size": 1200, "gradient_steps": 1}  # it 
 TINY: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2},
     "ppo-residual": {"n_steps": 50, "batch_size": 50, "vec_env_wrapper": [DELAYS, RESIDUAL]},
-    "sac": {**OFF_POLICY, "learning_starts": 64},
+    "sac": {**OFF_POLICY, "learning_starts": 64, "normalize": True},
+    "td3": {**OFF_POLICY, "learning_starts": 64, "normalize": "dict(norm_obs=True)"},
+    "a2c": {"n_steps": 25},
+    "trpo": {"n_steps": 50, "batch_size": 50},
+    "ppo_lstm": {
+        **{"n_steps": 50, "batch_size": 50, "n_epochs": 2, "normalize": True},
+        "policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 8},
+    },
     "tqc-her": {
         **{**OFF_POLICY, "learning_starts": 440},  # hindsight needs a finished episode
         "policy_kwargs": {"net_arch": [8], "n_critics": 1},
@@ -74,7 +81,10 @@ def trained(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "name",
-    ["ppo", "tqc-her", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ppo-residual", "sac"))],
+    [
+        *("ppo", "tqc-her", "td3", "a2c", "ppo_lstm"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ppo-residual", "sac", "trpo")),
+    ],
 )
 def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(name, tmp_path):
     def interrupt(progress):
@@ -123,16 +133,23 @@ def test_the_card_describes_the_whole_training(trained, tmp_path):
     assert {"success", "final_distance", "episode_return"} <= set(card.scores)
 
 
-def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(tmp_path):
-    one, models = training("ppo", tmp_path, n_timesteps=1), []
+@pytest.mark.parametrize("name", ["ppo", "td3", "a2c", "ppo_lstm"])
+def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(name, tmp_path):
+    one, models = training(name, tmp_path, n_timesteps=1), []
     one.save = lambda model: (models.append(model), Training.save(one, model))
     one.run()
-    envs = gym.make_vec("MMCReach-v0", 5)
+    model, envs = models[-1], gym.make_vec("MMCReach-v0", 5)
+    normalizer = model.get_vec_normalize_env()
+    assert (normalizer is not None) == (name != "ppo")
     observations, _ = envs.reset(seed=0)
-    agent = mmc_gym.make_agent(str(tmp_path / "ppo-3.json"), envs)
-    actions, _ = agent.predict(observations, deterministic=True)
-    expected, _ = models[-1].predict(observations, deterministic=True)
-    np.testing.assert_allclose(actions, expected, atol=1e-6)
+    agent = mmc_gym.make_agent(str(tmp_path / f"{name}-3.json"), envs)
+    state = theirs = None
+    for start in ([True] * 5, [False] * 5, [False, True, False, False, False]):
+        actions, state = agent.predict(observations, state, start, deterministic=True)
+        seen = normalizer.normalize_obs(observations) if normalizer else observations
+        expected, theirs = model.predict(seen, theirs, np.array(start), deterministic=True)
+        np.testing.assert_allclose(actions, expected, atol=1e-5)
+        observations = envs.step(actions)[0]
 
 
 def test_tensorboard_gets_evaluations_and_the_returns_of_episodes(trained):
@@ -208,6 +225,7 @@ def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
     [
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps"),  # hung when evaluated
         ({"use_sde": True}, "must give a policy that acts: tensors must be"),
+        ({"normalize": {"norm": True}}, "unexpected keyword argument 'norm'"),
         ({"vec_env_wrapper": {RESIDUAL: {"base_agent": "ik"}}}, "base_agent must be one of"),
         ({"env_id": "MMCReach-v99"}, "env must be the id of an environment"),
         ({"env_id": "Pendulum-v1"}, "env must be a reaching environment"),
