@@ -34,6 +34,9 @@ class SingleArm(ABC):
     #: and always on the analytic engine.  Stops and locks do not count.
     servo_impulses: list[float]
     servo_work: list[float]  #: ∫ |τ q̇| dt of each servo in the same step, mass · length² / s²
+    #: force of a confined hand on the wall to its left, mass · length / s², and its speed along the
+    #: line, length / s; means over the last step
+    contact: Sequence[float] = (0.0, 0.0)
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest; see `command` for its servos.
@@ -92,6 +95,10 @@ class SingleArm(ABC):
     def lock(self) -> None:
         """Make the `lockable_joints` rigid at their present angles, until the next reset."""
 
+    def confine(self, start: Sequence[float], end: Sequence[float]) -> None:
+        """Let walls confine the hand to the line from start to end (x, y), until the next reset."""
+        raise UserError('engine must be "pymunk" for a channel, which the analytic engine has not')
+
     @abstractmethod
     def load(self, parameters: ArmParameters) -> None:
         """Take on the `hand_mass` and the `force_field` of other parameters, until the next reset.
@@ -121,6 +128,7 @@ class ArmBatch(ABC):
     joint_angles: Floats
     joint_velocities: Floats
     end_effectors: Floats
+    contacts: Floats  # as `SingleArm.contact`, (count, 2); of arms in pymunk
     records_effort: bool = False
 
     def __init__(
@@ -191,6 +199,10 @@ class ArmBatch(ABC):
     def lock(self, arms: ArrayLike) -> None:
         """Make the `lockable_joints` of arms with these indices rigid, see `SingleArm.lock`."""
         self._lock(self._indices(arms))
+
+    def confine(self, arms: ArrayLike, starts: Floats, ends: Floats) -> None:
+        """Confine k hands to lines from starts to ends, (k, 2), see `SingleArm.confine`."""
+        raise UserError('engine must be "pymunk" for a channel, which the analytic engine has not')
 
     def load(self, parameters: ArmParameters, arms: ArrayLike) -> None:
         """Load k arms with these indices, which may differ, see `SingleArm.load`.

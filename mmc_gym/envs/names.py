@@ -32,6 +32,7 @@ import numpy as np
 from mmc_gym._errors import UserError, nearest, require, unknown
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
+    Channel,
     CursorGain,
     CursorJump,
     CursorMirror,
@@ -344,6 +345,7 @@ def _obstacles(count: float) -> Obstacles:
 
 _FAMILIES = (  # name, unit, description, default, make
     Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
+    Family("channel", "mass/s", "walls along the way, as for a curl field of {}", 60.0, Channel),
     Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
     Family("gain", "times", "cursor {} times as far as the hand", 1.4, CursorGain),
     Family("mirror", "° of the axis", "cursor mirrored at an axis of {}°", 90.0, CursorMirror),

@@ -70,7 +70,7 @@ class Perturbation:
     def check_hooks(self) -> None:
         """Raise a `UserError` if the class changes nothing, as with a misspelt method."""
         changes = type(self).change_body is not Perturbation.change_body
-        if not changes and not isinstance(self, Noise | Cursor | Delay | Feedback):
+        if not changes and not isinstance(self, Noise | Cursor | Delay | Feedback | Channel):
             found = nearest("change_body", vars(type(self)))
             raise UserError(
                 f"the perturbation {type(self).__name__} must have a method change_body(self, body)"
@@ -94,6 +94,21 @@ class ForceField(Perturbation):
     def change_body(self, body: ArmParameters) -> ArmParameters:
         (xx, xy), (yx, yy) = body.force_field or ((0.0, 0.0), (0.0, 0.0))
         return replace(body, force_field=((xx, xy + self.curl), (yx - self.curl, yy)))
+
+
+@spelt
+@dataclass(frozen=True)
+class Channel(Perturbation):
+    """Stiff walls confine the hand to the line from its start to the first target.
+
+    After Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi (2000), J. Neurophysiol. 84:853.
+    `info` has the `channel_force` with which the hand pushes to the left, and the `ideal_force`
+    that would cancel a curl field: its strength times the speed along the line.  The slope of the
+    one on the other is what was learned of the field (Smith, Ghazizadeh & Shadmehr 2006, PLoS
+    Biol. 4:e179).
+    """
+
+    curl: float = 60.0  #: of the field whose ideal force is compared, see `ForceField`
 
 
 @spelt

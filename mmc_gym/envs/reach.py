@@ -258,6 +258,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
         if self.setup.lock_step == 0:
             self._arm.lock()
+        if self.setup.channel is not None:
+            self._arm.confine(self._arm.end_effector, self._target)
         self._sights.clear()
         self._trace.clear()
         self._trace.append(self._arm.end_effector)
@@ -306,6 +308,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         info["target"] = np.array(target)
         if cursor is not None:
             info["cursor"] = np.array(hand)
+        if setup.channel is not None:
+            info["channel_force"], speed = arm.contact
+            info["ideal_force"] = setup.channel * speed
         if setup.is_sight_disturbed:
             sights = self._sights
             sights.append((hand, target))  # at first fewer than the delay: the first is the start

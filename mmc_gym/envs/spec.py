@@ -32,6 +32,7 @@ from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
+    Channel,
     Cursor,
     Cursors,
     Delay,
@@ -115,6 +116,10 @@ class ReachSetup:
         self.unperturbed = arguments.arm  #: the arm of the arguments
         self._change_arm(changes)
         self._check_loads(changes)
+        channels = [one.curl for one in self.perturbations if isinstance(one, Channel)]
+        self.channel = sum(channels) if channels else None  #: curl that it is made for, or None
+        if channels:
+            make_arm(self.engine, self.body).confine((0.0, 0.0), (1.0, 0.0))
         self._disturb_senses(changes)
         self._find_workspace()
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean

@@ -239,6 +239,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
+        if self.setup.channel is not None:
+            self._body.confine(arms, self._body.end_effectors[arms], self._targets[arms])
         if self.setup.vision_delay:
             self._sights[:, arms] = self._sight(arms)
 
@@ -335,6 +337,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Return what these arms observe, noise and late sight included; complete `info`."""
         if self.setup.cursor is not None:
             info["cursor"] = hands
+        if self.setup.channel is not None:
+            info["channel_force"], speeds = self._body.contacts[arms].T.copy()
+            info["ideal_force"] = self.setup.channel * speeds
         if not self.setup.is_sight_disturbed:
             return observation
         targets = self._targets[arms]

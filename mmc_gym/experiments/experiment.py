@@ -40,6 +40,7 @@ from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
 from mmc_gym.envs.names import Change, TaskEntry, parse_change
 from mmc_gym.envs.perturbations import (
+    Channel,
     Cursor,
     CursorJump,
     Delay,
@@ -78,7 +79,7 @@ def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
         if not (turns or isinstance(one, ForceField | CursorJump) or _is_of_senses(change)):
             raise UserError(
                 "must be rotation, clamp, force-field or cursor-jump, which have a measure of "
-                "learning, or noise, delay or feedback; "
+                "learning, or noise, delay, feedback or channel; "
                 f"{change.name} may hold in all trials (noise)"
             )
     return changes
@@ -132,7 +133,7 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
 
 
 def _is_of_senses(change: Change) -> bool:
-    return isinstance(change.untimed, Noise | Delay | Feedback)
+    return isinstance(change.untimed, Noise | Delay | Feedback | Channel)
 
 
 @_explained

@@ -307,6 +307,29 @@ def test_a_hidden_hand_repeats_where_it_was_last_seen(names, seen_at):
     assert len(found) == 1 if seen_at is None else found == seen_at
 
 
+@pytest.mark.parametrize("trial", [0, 3])
+@pytest.mark.parametrize("learned", [0.0, 0.5, 1.0])
+def test_the_force_on_a_channel_is_the_share_of_the_field_that_was_learned(learned, trial):
+    """Of a hand that is pulled along the line, and pushed aside as a share of the field needs."""
+    env = MMCReachEnv(task="centre-out", perturbations="channel-20", control="joint_torque")
+    info = env.reset(seed=0, options={"trial": trial})[1]
+    start, way = info["end_effector"], info["target"] - info["end_effector"]
+    along = way / np.linalg.norm(way)
+    left, forces, hand = np.array([-along[1], along[0]]), [], start
+    for step in range(40):
+        speed, hand = (info["end_effector"] - hand) / 0.02, info["end_effector"]
+        force = 60 * (start + min(step / 30, 1) * way - hand) - 8 * speed
+        force += learned * 20 * (speed @ along) * left
+        nodes = node_positions(segments_from_joint_angles(joint_angles(env), (1.0,) * 3))[:-1]
+        jacobian = np.stack([(nodes - hand)[:, 1], (hand - nodes)[:, 0]])
+        torques = np.clip(jacobian.T @ force / env.parameters.torque_limit, -1, 1)
+        *_, info = env.step(torques.astype(np.float32))
+        forces.append((info["channel_force"], info["ideal_force"]))
+        assert abs((info["end_effector"] - start) @ left) < 0.01
+    measured, ideal = np.transpose(forces)
+    assert measured @ ideal / (ideal @ ideal) == pytest.approx(learned, abs=0.15)
+
+
 def test_the_target_is_in_reach_all_the_time():
     changes = (Timed(CursorMirror(60.0, (0.5, 1.0)), at=1), Timed(CursorGain(2.0), over=1))
     env = MMCReachEnv(perturbations=(*changes, "locked-2", "obstacles-1"))

@@ -64,6 +64,10 @@ VARIANTS = {
             "vision-delay-40-at-0.1",
         ),
     },
+    "channel": {
+        "control": "joint_torque",
+        "perturbations": ("channel", "force-field-30-at-0.1", "endpoint-feedback"),
+    },
     "hidden hand": {"perturbations": ("no-feedback-at-0.06", "rotation-30", "vision-delay-40")},
     "seen in the end": {"perturbations": ("endpoint-feedback", "vision-noise", "delay-40")},
     "loads begin and grow": {
@@ -119,8 +123,8 @@ def agree(first, second, engine):
 @pytest.mark.parametrize(("env_id", "variant", "mode"), cases(VARIANTS))
 def test_it_returns_what_single_environments_return(env_id, variant, mode, engine):
     """Over some episodes, with partial resets on the way."""
-    if engine == "analytic" and variant == "obstacles":
-        pytest.skip("the analytic engine has no obstacles")
+    if engine == "analytic" and variant in ("obstacles", "channel"):
+        pytest.skip("the analytic engine has none")
     arguments = {"max_episode_steps": 13, "engine": engine, **VARIANTS[variant]}
     native = make_native(env_id, autoreset_mode=mode, **arguments)
     sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)

@@ -30,7 +30,14 @@ from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.parameters import ArmParameters
-from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import (
+    MOTION,
+    HandField,
+    Linkage,
+    Walls,
+    forget_impulses,
+    make_space,
+)
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 
@@ -53,6 +60,7 @@ class PymunkArm(SingleArm):
     """
 
     _history: deque[tuple[Any, ...]]  # the last reset and the calls since; the oldest drop out
+    _walls: Walls | None
     _yields: list[float]  # see `Linkage.yields`; only a force field needs them
 
     @override
@@ -72,6 +80,7 @@ class PymunkArm(SingleArm):
                 self._set_load(self.parameters)
             forget_impulses(self._space, [self._linkage], self.parameters.substep)
         self._linkage.place(joint_angles, joint_velocities)
+        self._walls, self.contact = None, (0.0, 0.0)
         self._yields = [1.0] * self._count
         self._read()
         self._set_servos(joint_angles if self._servo == "position" else [0.0] * self._count)
@@ -110,8 +119,10 @@ class PymunkArm(SingleArm):
         before = self._velocities() if records else []
         if records:
             self.servo_impulses, self.servo_work = [0.0] * self._count, [0.0] * self._count
+        if self._walls is not None:
+            self._walls.contacts[:] = 0.0
         for _ in range(self.parameters.substeps):
-            if field is not None:
+            if field is not None or self._walls is not None:
                 self._push_hand(field)
             chipmunk.cpSpaceStep(space, substep)
             if field is not None:
@@ -123,6 +134,8 @@ class PymunkArm(SingleArm):
                     self.servo_impulses[joint] += impulse
                     self.servo_work[joint] += impulse * abs(before[joint] + after[joint]) / 2
                 before = after
+        if self._walls is not None:
+            self.contact = self._walls.contacts[0].tolist()
         self._read()
 
     def _velocities(self) -> list[float]:
@@ -130,13 +143,18 @@ class PymunkArm(SingleArm):
         of_segments = [chipmunk.cpBodyGetAngularVelocity(rod) for rod, _, _ in self._linkage.rods]
         return [velocity - parent for velocity, parent in zip(of_segments, [0.0, *of_segments])]
 
-    def _push_hand(self, field: HandField) -> None:
+    def _push_hand(self, field: HandField | None) -> None:
         """Set the force and torque of the field on the last segment for the next physics step."""
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
         motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
-        impulses = field.impulses(motion, np.array(self._yields))
-        x, y, torque = (impulses / self.parameters.substep).tolist()
+        pushes: Any = np.zeros(3)
+        if field is not None:
+            impulses = field.impulses(motion, np.array(self._yields))
+            pushes = impulses / self.parameters.substep
+        if self._walls is not None:
+            pushes = pushes + self._walls.pushes(motion[None])[0]
+        x, y, torque = pushes.tolist()
         hand = self._linkage.rods[-1][0]
         chipmunk.cpBodySetForce(hand, (x, y))
         chipmunk.cpBodySetTorque(hand, torque)
@@ -161,6 +179,12 @@ class PymunkArm(SingleArm):
     def lock(self) -> None:
         self._history.append(("lock",))
         self._linkage.lock(self.joint_angles)
+
+    @override
+    def confine(self, start: Sequence[float], end: Sequence[float]) -> None:
+        self._history.append(("confine", start, end))
+        self._walls = Walls([self._linkage])
+        self._walls.confine([0], np.array([start]), np.array([end]))
 
     @override
     def load(self, parameters: ArmParameters) -> None:

@@ -30,6 +30,7 @@ from mmc_gym.body.pymunk.linkage import (
     MOTION,
     HandField,
     Linkage,
+    Walls,
     change_space,
     forget_impulses,
     make_space,
@@ -61,6 +62,7 @@ class ArmGroup:
         for buffer, pushes in zip(self._push_buffers, self._pushes):
             buffer.set_float_buf(pushes)
         self._yields = np.ones(self._shape)
+        self.walls: Walls | None = None
         self._spaces = [make_space(parameters) for _ in range(spaces)]
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
         self.linkages = [Linkage(space, parameters, servo, self._is_apart) for space in by_arm]
@@ -93,7 +95,9 @@ class ArmGroup:
 
     def step(self, effort: tuple[Floats, Floats] | None) -> None:
         """Simulate a control step; write the servos' impulses and work (count, N) to `effort`."""
-        if self._field is None and not effort:
+        if self.walls is not None:
+            self.walls.contacts[:] = 0.0
+        if self._field is None and self.walls is None and not effort:
             for substeps, substep, space in self._paces:
                 for _ in range(substeps):
                     chipmunk.cpSpaceStep(space, substep)
@@ -102,8 +106,8 @@ class ArmGroup:
         for array in effort or ():
             array[:] = 0.0
         for number in range(self._substeps.max()):
-            if self._field is not None:
-                self._push_hands(self._field, number)
+            if self._field is not None or self.walls is not None:
+                self._push_hands(number)
             for substeps, substep, space in self._paces:
                 if number < substeps:
                     chipmunk.cpSpaceStep(space, substep)
@@ -154,10 +158,14 @@ class ArmGroup:
         state = self._fields(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
-    def _push_hands(self, field: HandField, number: int) -> None:
-        """Set the field's forces and torques on the last segments for physics step `number`."""
-        count = self._shape[1]
-        pushes = field.impulses(self._fields(MOTION), self._yields) / self._substep
+    def _push_hands(self, number: int) -> None:
+        """Set forces and torques on the last segments for physics step `number`."""
+        count, motion = self._shape[1], self._fields(MOTION)
+        pushes: Floats = np.zeros((self._shape[0], 3))
+        if self._field is not None:
+            pushes = self._field.impulses(motion, self._yields) / self._substep
+        if self.walls is not None:
+            pushes = pushes + self.walls.pushes(motion)
         of_hands = self._pushes[:, count - 1 : self._segments_per_space : count]
         of_hands[:] = pushes.reshape(of_hands.shape)
         for space, buffer, (substeps, *_) in zip(self._spaces, self._push_buffers, self._paces):
@@ -192,6 +200,8 @@ class ArmGroup:
         for member, posture, speeds in zip(members, joint_angles, joint_velocities):
             self.linkages[member].place(posture, speeds)
         self._yields[members] = 1.0
+        if self.walls is not None:
+            self.walls.confine(members, np.zeros(2), np.zeros(2))
 
     def load(self, members: Sequence[int], parameters: Sequence[ArmParameters]) -> None:
         """Load some arms, see `SingleArm.load`."""
@@ -340,6 +350,20 @@ class PymunkArmBatch(ArmBatch):
             for member in members:
                 angles = self.joint_angles[group.arms.start + member]
                 group.linkages[member].lock(angles.tolist())
+
+    @override
+    def confine(self, arms: ArrayLike, starts: Floats, ends: Floats) -> None:
+        for group, part, members in self._by_group(self._indices(arms)):
+            group.walls = group.walls or Walls(group.linkages)
+            group.walls.confine(members, starts[part], ends[part])
+
+    @property
+    def contacts(self) -> Floats:  # type: ignore[override]
+        """Contact of each arm, (count, 2)."""
+        none = [np.zeros((len(group.linkages), 2)) for group in self._groups]
+        walls = [group.walls for group in self._groups]
+        found = [zero if one is None else one.contacts for zero, one in zip(none, walls)]
+        return np.concatenate(found)
 
     @override
     def _load(self, parameters: ArmParameters, arms: Indices) -> None:

@@ -387,3 +387,43 @@ class HandField:
             push = push + self._half @ (jacobian.swapaxes(-1, -2) @ changes)
         moment = self._reach[..., None] * (across[..., -1:, :] @ push)
         return np.concatenate([push, moment], axis=-2)[..., 0]
+
+
+class Walls:
+    """Stiff, damped walls on both sides of the lines to which the hands of n arms are confined.
+
+    After Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi (2000), J. Neurophysiol. 84:853.
+    Stiffness and damping are as large as substeps allow: a free last segment of mobility Λ (see
+    `ArmParameters.strongest_field`) loses half of its speed across in a substep.
+    """
+
+    def __init__(self, linkages: Sequence[Linkage]) -> None:
+        """Confine none of these arms yet."""
+        arms = [linkage.parameters for linkage in linkages]
+        strongest = np.array([arm.strongest_field for arm in arms])
+        self._damping, self._substeps = strongest / 4, np.array([arm.substeps for arm in arms])
+        self._stiffness = strongest / (8 * np.array([arm.substep for arm in arms]))
+        self._ahead = np.array(
+            [length - centre for _, length, centre in (a.rods[-1] for a in linkages)]
+        )
+        self._starts, self._along = np.zeros((2, len(arms), 2))
+        self.contacts = np.zeros((len(arms), 2))  #: `SingleArm.contact` of each
+
+    def confine(self, members: Sequence[int], starts: Floats, ends: Floats) -> None:
+        """Confine the hands of some arms to lines; equal ends leave them free."""
+        way, self.contacts[members] = ends - starts, 0.0
+        length = np.sqrt((way * way).sum(axis=-1, keepdims=True))
+        self._starts[members], self._along[members] = starts, way / (length + (length == 0.0))
+
+    def pushes(self, motion: Floats) -> Floats:
+        """Return force (x, y) and torque on the last segments, (n, 3); see `HandField.impulses`."""
+        last, left = motion[:, -1], self._along[:, ::-1] * _LEFT
+        forward = self._ahead[:, None] * np.stack([np.cos(last[:, 2]), np.sin(last[:, 2])], axis=-1)
+        aside = forward[:, ::-1] * _LEFT
+        hands, velocities = last[:, :2] + forward, last[:, 3:5] + last[:, 5:] * aside
+        across = (left * (hands - self._starts)).sum(axis=-1)
+        force = self._stiffness * across + self._damping * (left * velocities).sum(axis=-1)
+        speed = (self._along * velocities).sum(axis=-1)
+        self.contacts += np.stack([force, speed], axis=-1) / self._substeps[:, None]
+        back = -force[:, None] * left
+        return np.concatenate([back, (aside * back).sum(axis=-1, keepdims=True)], axis=-1)
