@@ -276,8 +276,8 @@ def adapt(
         keep: Agents that keep their whole memory, such as ppo-memory.
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
         retention: Share of a state that is left at the next trial.
-        learners: YAML file of what differs for some agents, such as "slow: {rate: 0.05}".
-        people: CSV of your own data for the figure, with columns trial and adaptation.
+        learners: YAML file of what differs, as in "slow: {rate: 0.05}".
+        people: CSV of your data in the figure: trial, adaptation.
         subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
         out: Folder; an interrupted run is resumed.
