@@ -70,9 +70,9 @@ class AgentEntry:
     #: trained agent, its training of seed 0
     maker: str
     knowledge: Knowledge  #: its kind, what it is given, and what it senses
-    #: the control mode in which it is compared.  Agents that give joint targets act in every mode
-    #: that has a servo; only joint positions do not depend on late senses.
-    control: Control = "joint_position"
+    #: the only control mode in which it is compared; None: that of the environment, as for all
+    #: agents that give joint targets, which act in every mode that has a servo
+    control: Control | None = None
     training_seeds: int = 0  #: how many trainings of it ship with the package; 0 if untrained
     settings: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the maker, by name
     draws_actions: bool = False  #: whether the maker is also given the `space` of actions

@@ -149,7 +149,7 @@ class ResolvedAgent:
 
     @property
     def control(self) -> Control | None:
-        """The control mode in which it is compared; None for that of the environment."""
+        """The only control mode in which it is compared; None for that of the environment."""
         return self.own_control or (self.entry.control if self.entry else None)
 
     @property

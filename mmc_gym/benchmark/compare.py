@@ -38,9 +38,11 @@ from mmc_gym.benchmark.statistics import (
 from mmc_gym.benchmark.store import episode_columns
 from mmc_gym.benchmark.suite import (
     Arms,
+    control_note,
     has_reference,
     make_player,
     minimum_jerk_episodes,
+    other_controls,
     play_episodes,
 )
 from mmc_gym.envs.scenarios import EnvLike, Playable, parse_environment
@@ -133,6 +135,9 @@ def compare(
         agent.label: getattr(player, "training_steps", None)
         for agent, player in zip(found, players)
     }
+    controls = {
+        agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
+    }
     if has_reference(envs[0]):
         found.append(resolve(REFERENCE))
         played.append(minimum_jerk_episodes(played[0]))
@@ -140,6 +145,8 @@ def compare(
     recorded: dict[str, tuple[Episode, ...]] = {}
     for agent, one in zip(found, played):
         recorded[agent.label] = recorded.get(agent.label, ()) + one
+    later = other_controls(controls).keys() - set(chosen) | {REFERENCE}
+    recorded = dict(sorted(recorded.items(), key=lambda item: item[0] in later))
     table = _tidy(found, played)
     comparison = Comparison(
         env=scenario.name,
@@ -151,9 +158,7 @@ def compare(
         episodes=table,
         summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
         env_kwargs=dict(scenario.arguments),
-        controls={
-            agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
-        },
+        controls=controls,
         has_interface=isinstance(envs[0].unwrapped, InterfacedEnv),
     )
     # Files first: an error in printing should not lose them.
@@ -285,7 +290,7 @@ class Comparison:
         of_all = ", ".join(one.label for one in shown if not one.successes_only)
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
         sentences = [
-            self._played,
+            f"{self._played} {control_note(self.controls)}",
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals, Wilson's of a "
             "share in one training; lengths in segment lengths; at the target: "
             f"{_within(self._first.tolerance)}.",
@@ -419,8 +424,10 @@ class Comparison:
             rows.append(Row(one.label, (best, *cells), unit))
         steps = (self.training_steps[agent] for agent in self.recorded)
         trained = (Cell("unknown" if one is None else f"{one:,}") for one in steps)
+        others = other_controls(self.controls)
+        agents = (Heading(agent, others.get(agent, "")) for agent in self.recorded)
         return Table(
-            headings=(Heading(""), Heading("best", is_text=True), *map(Heading, self.recorded)),
+            headings=(Heading(""), Heading("best", is_text=True), *agents),
             rows=(*rows, Row("training", (Cell(""), *trained), "[env steps]")),
             caption=self.note,
         )

@@ -10,6 +10,9 @@
                   the same episode; ½ for the baseline itself, and for a copy of it; over the
                   environments in which both have values
 
+    control       the control mode in which an agent acts.  Agents of the mode of most are ranked
+                  first; those of another mode below them, in a block of their own
+
 All environments that all agents have attempted count, with equal weight whatever their number of
 instances.  An agent that could not act, or failed, had no success.  Agents with the same success
 and the same time share a rank; intervals over training seeds and instances say which differences
@@ -36,6 +39,7 @@ from mmc_gym._tables import Cell, Heading, Row, Table, interval, number, print_t
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import CellKey, Manifest, read_episodes, read_manifest, reasons
+from mmc_gym.benchmark.suite import control_note
 
 BASELINE_AGENT = "mmc"
 _DIGITS = 12  # so that the order of summation makes no difference
@@ -48,16 +52,19 @@ def rank_agents(
     baseline: str = BASELINE_AGENT,
     resamples: int = RESAMPLES,
     seed: int = 0,
+    *,
+    controls: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     """Rank agents, without the ideal hand, which cannot play all environments.
 
     The `episodes` are those of `read_episodes`, and `not_played` are cells that were attempted but
     have none.  If the `baseline`, with which all are compared, did not play, improvement is NaN.
+    The `controls` are the control modes by agent; without them all are ranked together.
 
     Returns:
-        A row for each agent, the best first: rank, agent, success, settled and improvement (each
-        with …_low and …_high, 95 %), time_to_target (s), training_seeds (0 without training),
-        environments, instances, not_played (cells).
+        A row for each agent, the best of each block first: rank, agent, control, success, settled
+        and improvement (each with …_low and …_high, 95 %), time_to_target (s), training_seeds (0
+        without training), environments, instances, not_played (cells).
 
     Raises:
         UserError: if no environment was attempted by all agents.
@@ -80,6 +87,7 @@ def rank_agents(
             improvement = Bootstrap(pair, resamples, seed).improvement(agent, baseline)
         row = {
             "agent": agent,
+            "control": (controls or {}).get(agent, ""),
             **_columns("success", found._replace(estimate=float(exact[agent]))),
             **_columns("settled", settled.estimate(agent)),
             **_columns("improvement", improvement),
@@ -91,9 +99,15 @@ def rank_agents(
         }
         rows.append(row)
     by, ascending = ["success", "time_to_target"], [False, True]  # NaN is last
-    ordered = pd.DataFrame(rows).sort_values(by, ascending=ascending, ignore_index=True)
-    scored = list(zip(ordered["success"], ordered["time_to_target"].fillna(math.inf)))
-    ordered.insert(0, "rank", [1 + scored.index(one) for one in scored])  # 1, 2, 2, 4, …
+    ordered = pd.DataFrame(rows).sort_values(by, ascending=ascending)
+    blocks = [block for _, block in ordered.groupby("control", sort=False)]
+    blocks.sort(key=len, reverse=True)
+    ranks: list[int] = []
+    for block in blocks:
+        scored = list(zip(block["success"], block["time_to_target"].fillna(math.inf)))
+        ranks += [1 + scored.index(one) for one in scored]  # 1, 2, 2, 4, …
+    ordered = pd.concat(blocks, ignore_index=True)
+    ordered.insert(0, "rank", ranks)
     return ordered
 
 
@@ -162,7 +176,9 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         return pd.DataFrame()
     episodes = read_episodes(folder, ["success", "time_to_target", "duration"])
     try:
-        ranking = rank_agents(episodes, [one.key for one in manifest.not_played])
+        controls = {agent: manifest.control(agent) for agent in manifest.agents}
+        lost = [one.key for one in manifest.not_played]
+        ranking = rank_agents(episodes, lost, controls=controls)
     except UserError as error:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
@@ -176,7 +192,9 @@ def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
     """Return the ranking as it is printed; columns without any value are left out."""
     shows_lost = bool(ranking["not_played"].any())
     is_compared = bool(ranking["improvement"].notna().any())
+    has_blocks = ranking["control"].nunique() > 1
     headings = [Heading("#"), Heading("agent", is_text=True)]
+    headings += [Heading("acts by", is_text=True)] * has_blocks
     headings += [Heading("success"), Heading("settled")]
     headings += [Heading(f"better\nthan {BASELINE_AGENT}")] * is_compared
     headings += [Heading("time", "s"), Heading("seeds"), *[Heading("not\nplayed")] * shows_lost]
@@ -186,6 +204,7 @@ def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
         counts = ("training_seeds", *["not_played"] * shows_lost)
         cells = (
             Cell(str(row["agent"])),
+            *[Cell(str(row["control"]))] * has_blocks,
             *(_with_interval(row, name) for name in shares),
             Cell(number(row["time_to_target"], 2)),
             *(Cell(str(row[name] or "–")) for name in counts),
@@ -201,6 +220,7 @@ def _with_interval(row: Mapping[Hashable, Any], name: str) -> Cell:
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     one, better = ranking.iloc[0], ""
+    controls = dict(zip(ranking["agent"], ranking["control"]))
     if ranking["improvement"].notna().any():
         better = (
             f" better than {BASELINE_AGENT}: probability of being settled for longer in the same "
@@ -220,9 +240,9 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
         "that end at the target, each environment weighing the same; then by time to target (mean "
         "of medians). settled: mean of the part of an episode after which the hand "
-        f"stays at the target.{better} Intervals: 95 % bootstrap over training seeds and "
-        "instances; without several training seeds over instances alone. Cells that were not "
-        "played count as without success. All cells took "
+        f"stays at the target.{better} {control_note(controls)} Intervals: 95 % bootstrap over "
+        "training seeds and instances; without several training seeds over instances alone. Cells "
+        "that were not played count as without success. All cells took "
         f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "
         f"{manifest.reused} were in the store already and not played again.{mixed}"
     )

@@ -375,14 +375,16 @@ def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
 
 def _found(out: Path) -> dict[str, Any]:
     """Return the fields of `Manifest` that follow from all cells of a store, of other runs, too."""
-    versions, fingerprints = defaultdict(set), defaultdict(set)
+    versions, fingerprints, controls = defaultdict(set), defaultdict(set), defaultdict(set)
     kept = kept_cells(out)
     for settings, facts in kept.values():
         for name, one in facts["software"].items():
             versions[name].add(one)
         fingerprints[settings["source"]].add(settings["fingerprint"])
+        controls[settings["source"]].add(facts.get("control", ""))
     return {
         "cpu_seconds": {stem: one.facts["cpu_seconds"] for stem, one in kept.items()},
         "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
+        "controls": {source: ", ".join(sorted(found)) for source, found in controls.items()},
         "changed": [source for source, found in fingerprints.items() if len(found) > 1],
     }

@@ -368,10 +368,16 @@ class Manifest(_Frozen):
     environments: dict[str, dict[str, Any]] = {}
     agents: dict[str, list[Policy]] = {}  #: policies by name
     not_played: list[NotPlayed] = []
+    controls: dict[str, str] = {}  #: control modes of an agent's cells, by its source
     cpu_seconds: dict[str, float] = {}  #: processor time of each cell, by the stem of its files
     reused: int = 0  #: number of cells that the last run did not have to play
     versions: dict[str, str] = {}  #: of libraries, several of one separated by commas
     changed: list[str] = []  #: sources of agents whose cells are of different weights or code
+
+    def control(self, agent: str) -> str:
+        """Return the control modes in which an agent acted; empty for an ideal hand."""
+        modes = (self.controls.get(one.source) for one in self.agents.get(agent, ()))
+        return ", ".join(dict.fromkeys(filter(None, modes)))
 
 
 def reasons(not_played: Iterable[NotPlayed]) -> list[str]:

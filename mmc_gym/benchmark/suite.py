@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -119,6 +120,22 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
             stacklevel=2,
         )
     return made, player
+
+
+def other_controls(controls: Mapping[str, str]) -> dict[str, str]:
+    """Return, by agent, those of its control modes that are not the one of most agents."""
+    ((most, _),) = Counter(controls.values()).most_common(1)
+    return {agent: one for agent, one in controls.items() if one != most}
+
+
+def control_note(controls: Mapping[str, str]) -> str:
+    """Return a sentence that says by which control mode each agent acts; empty without any."""
+    if not any(controls.values()):
+        return ""
+    others = other_controls(controls)
+    most = next(one for agent, one in controls.items() if agent not in others)
+    but = ", ".join(f"{agent} by {one}" for agent, one in others.items())
+    return f"Agents act by {most}{but and f', {but}'}."
 
 
 class Arms:

@@ -135,6 +135,11 @@ class Results:
     ranking_resamples: int  #: number of those of the ranking
     store: Path  #: the folder
 
+    @cached_property
+    def controls(self) -> dict[str, str]:
+        """The control mode in which each agent acts, without the ideal hand."""
+        return {one: self.manifest.control(one) for one in self.agents if one != REFERENCE}
+
     def kind(self, agent: str) -> Kind:
         """Return the kind of an agent."""
         return self.identities[agent].knowledge.kind
@@ -315,7 +320,10 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
     ranking, present = pd.DataFrame(), set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
         lost = [one.key for one in manifest.not_played]
-        ranking = rank_agents(episodes, lost, baseline=chosen[0], resamples=resamples)
+        controls = {agent: manifest.control(agent) for agent in names}
+        ranking = rank_agents(
+            episodes, lost, baseline=chosen[0], resamples=resamples, controls=controls
+        )
     return Results(
         manifest=manifest,
         episodes=episodes,

@@ -12,6 +12,7 @@ import numpy as np
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, interval, number
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
+from mmc_gym.benchmark.suite import control_note
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.catalogue import PEOPLE, people, span
 from mmc_gym.report.results import Results, Success, count
@@ -41,25 +42,28 @@ def ranking_table(results: Results) -> Table | None:
         explained = (
             f" Settled for longer than {first}: in what part of the same episodes, 50 % if equal."
         )
+    has_blocks = ranking["control"].nunique() > 1
     environments = int(ranking["environments"].iloc[0])
     left_out = len(results.environments) - environments
     partly = f" ({left_out} more were not attempted by all)" if left_out else ""
     rows = []
     for row in ranking.to_dict("records"):
         cells = (
+            *[Cell(str(row["control"]))] * has_blocks,
             Cell(str(row["rank"])),
             *(_share(row[name], row[f"{name}_low"], row[f"{name}_high"]) for name in shares),
             Cell(MEASURES["time_to_target"].number(row["time_to_target"])),
         )
         rows.append(_row(results, str(row["agent"]), cells))
     time = Heading("time to target", "s", _BETTER["low"])
+    acts_by = [Heading("acts by")] * has_blocks
     return Table(
-        headings=(Heading("agent"), Heading("rank"), *shares.values(), time),
+        headings=(Heading("agent"), *acts_by, Heading("rank"), *shares.values(), time),
         rows=tuple(rows),
         caption=f"Ranked by success over {count(environments, 'scenario')}{partly}, each weighing "
         "the same, then by time to target (mean of medians). Settled: mean of the "
         f"part of an episode after which the hand stays at the target.{explained} In brackets: "
-        f"95 % intervals. {results.sample_sizes}",
+        f"95 % intervals. {control_note(results.controls)} {results.sample_sizes}",
         title="How good the agents are",
         look="scores ranking",
     )
@@ -96,7 +100,8 @@ def scenario_table(results: Results, agent: str) -> Table:
     return Table(
         headings=tuple(map(Heading, ("scenario", agent, *others))),
         rows=tuple(rows),
-        caption="Success at the end of the episode, %, with 95 % intervals."
+        caption="Success at the end of the episode, %, with 95 % intervals. "
+        f"{control_note(results.controls)}"
         f"{against if others else ''}",
         title=f"Success of {agent} in each scenario",
         look="scores scenarios",
@@ -194,6 +199,7 @@ def score_table(results: Results, environment: str) -> Table:
     return Table(
         headings=(Heading("agent"), *labels),
         rows=tuple(_row(results, one, tuple(column[one] for column in columns)) for one in shown),
+        caption=control_note({one: results.controls[one] for one in shown if one != REFERENCE}),
         title=f"Measures in {environment}",
         look="scores",
     )

@@ -27,8 +27,6 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 class KnownBody(BodyAgent):
     """`mmc-body` with the truth in place of the estimates of three of its parts."""
 
-    control = "joint_position"  # the control mode in which `mmc-body` is compared
-
     def __init__(self, env: Any, parts: Parts = ALL_PARTS) -> None:
         """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)

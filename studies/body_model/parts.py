@@ -2,8 +2,10 @@
 
 Three tables.  Episodes are paired: all agents play the same postures, targets and noise.
 
-- Parts: success with all parts, without one, and with none; and that of an agent that is given what
-  the parts identify (`known_body.py`).
+- Parts: success with all parts, without one, and with none; that of an agent that is given what the
+  parts identify (`known_body.py`); and that of all parts by other actions than the default, joint
+  deltas.  By joint positions an action says where to go, so the servo, which knows the true joint
+  angles, makes up for noisy and late senses.
 - Switches of the network: the paper's learned normalizer or the Euclidean one, with velocities or
   without.
 - Vigour: from the fastest movement that the servos allow (1) to a human-like one (0).  A movement
@@ -53,6 +55,8 @@ PARTS = {
     "drives": "no drive",
     "avoids": "no contacts",
 }
+CONTROLS = ("joint_position", "joint_velocity")
+"""Control modes other than the default, in which an agent with all parts is played, too."""
 KINEMATIC: dict[str, Any] = {"dynamics": "kinematic", "damping": 2.5}
 EUCLIDEAN: dict[str, Any] = {"normalizer": EuclideanNormalizer()}
 SWITCHES: dict[str, dict[str, Any]] = {
@@ -80,9 +84,9 @@ class Arguments:
     seed: int = 30_000  # seed of the episodes
     model: str = "mmc"  # internal model of the agents in the table of parts, mmc or ik
 
-    def played(self, agent: Make, scenario: Playable) -> Played:
-        """Return the episodes of an agent."""
-        return play(agent, scenario, self.episodes, self.seed)
+    def played(self, agent: Make, scenario: Playable, control: str | None = None) -> Played:
+        """Return the episodes of an agent, by the default control mode if None is given."""
+        return play(agent, scenario, self.episodes, self.seed, control)
 
     def each(self, default: str) -> list[Playable]:
         """Return the scenarios of `--scenarios`, or the default ones if none are given."""
@@ -100,8 +104,11 @@ def of_parts(arguments: Arguments) -> Table:
     rows = []
     for scenario in track(arguments.each(SCENARIOS), transient=True):
         found = {name: percent(arguments.played(make, scenario)) for name, make in agents.items()}
+        for control in CONTROLS:  # what the action mode is worth
+            found[f"all,\n{control}"] = percent(arguments.played(agents["all"], scenario, control))
         rows.append({"scenario": scenario.name, **found})
-    return table_of(rows, f"{arguments.model}-body: success %, {arguments.episodes} episodes")
+    title = f"{arguments.model}-body: success %, {arguments.episodes} episodes; acts by joint_delta"
+    return table_of(rows, title)
 
 
 def of_switches(arguments: Arguments) -> Table:
@@ -169,7 +176,7 @@ def misses(arms: int = 500, **settings: Any) -> np.ndarray:
 
 def action_times(agents: Sequence[Make], rounds: int = 7) -> np.ndarray:
     """Return the median time per action of one arm, seconds; agents take turns."""
-    env = gym.make("MMCReach-v0", control="joint_position")
+    env = gym.make("MMCReach-v0")
     players = [make(env) for make in agents]
     times = []
     for seed in range(rounds):

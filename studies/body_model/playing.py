@@ -34,12 +34,15 @@ def body_model(
     return lambda env: build(ReachInterface.of(env), parts, **how)
 
 
-def play(agent: str | Make, scenario: Playable, episodes: int, seed: int) -> Played:
-    """Return the episodes of an agent: those of the benchmark if the seed is 0.
+def play(
+    agent: str | Make, scenario: Playable, episodes: int, seed: int, control: str | None = None
+) -> Played:
+    """Return the episodes of an agent: those of the benchmark if the seed is 0 and `control` None.
 
-    Every agent plays the same postures, targets and noise.  The list is empty if the agent cannot
-    act in the scenario.
+    Every agent plays the same postures, targets and noise, in another control mode if it is given.
+    The list is empty if the agent cannot act in the scenario.
     """
+    asked = {} if control is None else {"control": control}
     instances = scenario.instances(episodes)
     seeds = episode_seeds(seed, len(instances))
     played = []
@@ -47,7 +50,7 @@ def play(agent: str | Make, scenario: Playable, episodes: int, seed: int) -> Pla
         try:
             with warnings.catch_warnings():  # the arm may differ from the training's
                 warnings.simplefilter("ignore", MismatchWarning)
-                env, player = make_player(one, scenario.with_arguments(control="joint_position"))
+                env, player = make_player(one, scenario.with_arguments(**asked))
         except CannotActError:
             continue
         with closing(env), closing(scenario.make_vec(len(seeds), env.unwrapped.control)) as arms:

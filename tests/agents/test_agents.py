@@ -54,7 +54,7 @@ def success_rate(name, episodes, env_id="MMCReach-v0", **options):
 @pytest.mark.parametrize("name", AGENTS)
 def test_actions_lie_in_the_action_space_single_and_batched(name):
     for env_id in ("MMCReach-v0", "MMCReachGoal-v0"):
-        env = gym.make(env_id, control=AGENTS[name].control or "joint_position")
+        env = gym.make(env_id, control=AGENTS[name].control or "joint_delta")
         envs = gym.make_vec(env_id, 2, control=env.unwrapped.control)
         agent = make_agent(name, env)
         action, _ = agent.predict(env.reset(seed=0)[0])

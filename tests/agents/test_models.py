@@ -96,7 +96,7 @@ def test_a_model_acts_in_the_control_mode_of_its_training_alone(model):
     with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
         mmc_gym.make_agent(model, other)
     found = compare({"object": model, "mmc": "mmc"}, episodes=1)
-    assert found.controls == {"object": CONTROL, "mmc": "joint_position"}
+    assert found.controls == {"object": CONTROL, "mmc": "joint_delta"}
 
 
 def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(folder, tmp_path):

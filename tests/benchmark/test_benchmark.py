@@ -102,7 +102,7 @@ def test_a_store_holds_the_episodes_of_rollouts(played):
     frame = read_episodes(out).set_index(["agent", "environment"])
     assert frame.loc[("mmc", "centre-out")].shape[0] == 8  # all its trials, once each
     assert frame.loc[(REFERENCE, "random"), "success"].tolist() == [1.0] * 4
-    env = gym.make("MMCReach-v0", control="joint_position")
+    env = gym.make("MMCReach-v0")
     alone = run_episodes(mmc_gym.make_agent("mmc", env), env, episode_seeds(0, 4))
     expected = [(one.seed, one.distances[-1], one.servo_work.sum()) for one in alone]
     found = frame.loc[("mmc", "random"), ["seed", "final_distance", "joint_work"]]

@@ -14,7 +14,7 @@ from rich.console import Console
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.agents.registry import AGENTS, REFERENCE
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.suite import minimum_jerk_episodes
 from mmc_gym.measures import episode_seeds, measure_all, run_episodes
@@ -58,7 +58,7 @@ def test_all_agents_and_an_ideal_hand_have_the_same_starts_and_targets(frozen):
 def test_agents_that_play_all_at_once_act_as_one_by_one(agent, monkeypatch):
     monkeypatch.setattr("mmc_gym.benchmark.suite.TOGETHER", 8)
     found = compare([agent], episodes=12, seed=3).recorded[agent]
-    made = gym.make("MMCReach-v0", control=AGENTS[agent].control)
+    made = gym.make("MMCReach-v0")
     alone = run_episodes(mmc_gym.make_agent(agent, made), made, episode_seeds(3, 12))
     for one, other in zip(found, alone, strict=True):
         np.testing.assert_array_equal(one.joint_angles, other.joint_angles)

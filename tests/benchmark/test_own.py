@@ -110,7 +110,7 @@ def test_a_family_that_makes_no_perturbation_is_refused(make):
 def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):
     found = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
     assert found.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]
-    assert (found.env, found.controls["mmc"]) == ("Flat", "joint_position")
+    assert (found.env, found.controls["mmc"]) == ("Flat", "joint_delta")
     kept = compare(["mmc"], lambda: Flat(control="joint_velocity"), 1)  # it takes no control
     assert kept.controls["mmc"] == "joint_velocity"
     benchmark(["mmc", "random"], tmp_path, {"flat": Flat}, 2, jobs=1)
@@ -126,7 +126,7 @@ def test_arguments_of_the_environment_reach_it(tmp_path, monkeypatch):
     assert found.controls["mmc"] == "joint_velocity"
     assert found.settings["env_kwargs"] == given
     main(["compare", *arguments, "control=joint_velocity"])
-    assert (tmp_path / "runs/compare/summary.json").read_text().count("joint_velocity") == 3
+    assert (tmp_path / "runs/compare/summary.json").read_text().count("joint_velocity") == 4
     main(["benchmark", *arguments, "--scenarios", "random", "--jobs", "1"])
     (kept,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
     assert kept["kwargs"] == {"gravity": [0, -9]}

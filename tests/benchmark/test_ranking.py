@@ -50,6 +50,18 @@ def test_environments_weigh_the_same():
     assert ranking[columns].to_numpy().tolist() == [[1, 2, 22], [2, 2, 22]]
 
 
+def test_agents_of_another_control_mode_are_ranked_below_by_themselves():
+    times = {"mmc": [0.4, NAN], "ppo": [0.5, NAN], "torque": [0.3, 0.3], "ideal torque": [0.2, 0.2]}
+    controls = dict.fromkeys(times, "joint_torque") | dict.fromkeys(["mmc", "ppo"], "joint_delta")
+    one = played("reflex", "one", [0.1, 0.1])
+    frames = [played(agent, "one", of) for agent, of in times.items()]
+    ranking = summary(*frames, one, controls={**controls, "reflex": "joint_delta"})
+    assert ranking["rank"].to_dict() == {
+        **{"reflex": 1, "mmc": 2, "ppo": 3},
+        **{"ideal torque": 1, "torque": 2},
+    }
+
+
 def test_a_copy_ties_with_itself():
     times = [0.4, 0.8, NAN, 1.2]
     ranking = summary(
