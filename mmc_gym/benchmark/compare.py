@@ -279,7 +279,7 @@ class Comparison:
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         return (
             f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, the "
-            "same starts and targets for all agents."
+            f"same starts and targets for all agents. {control_note(self.controls)}"
         )
 
     @property
@@ -290,7 +290,7 @@ class Comparison:
         of_all = ", ".join(one.label for one in shown if not one.successes_only)
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
         sentences = [
-            f"{self._played} {control_note(self.controls)}",
+            self._played,
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals, Wilson's of a "
             "share in one training; lengths in segment lengths; at the target: "
             f"{_within(self._first.tolerance)}.",

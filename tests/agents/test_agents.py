@@ -82,7 +82,9 @@ WORLDS["all mixed"] = [
 def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
     """Bit for bit; of policies, sums in single precision may differ in their last bits."""
     count = 1 if world == "all mixed" else 9
-    make = partial(gym.make_vec, "MMCReach-v0", count, control=AGENTS[name].control)
+    make = partial(
+        gym.make_vec, "MMCReach-v0", count, control=AGENTS[name].control or "joint_delta"
+    )
     envs = [make(**options) for options in WORLDS[world]]
     agent, together = make_agent(name, envs[0]), None
     observations = np.concatenate([one.reset(seed=60_000)[0] for one in envs])

@@ -83,9 +83,25 @@ def test_posture_and_its_noise_are_estimated(noise):
     seen = path + noise * random.standard_normal(path.shape)
     track = PostureTrack.start(seen[0], speeds)
     for joint_angles in seen[1:]:
-        track = track.filter(joint_angles, speeds, STEP)
+        track = track.filter(joint_angles, speeds, 2 * STEP * speeds, STEP)
     assert np.median(track.deviation) == pytest.approx(noise, rel=0.3, abs=1e-9)
     assert np.median(np.abs(track.joint_angles - path[-1])) <= 0.5 * noise + 1e-9
+
+
+@pytest.mark.parametrize("is_held", [False, True], ids=["moves as commanded", "is held"])
+def test_commands_predict_noisy_joints_better_than_speeds_unless_a_joint_is_held(is_held):
+    random, step = np.random.default_rng(5), 0.05 * np.exp(-np.arange(100) / 10)
+    errors, track = [], PostureTrack.start(np.zeros((ARMS, 1)), np.zeros((ARMS, 1)))
+    place = 0.0
+    for commanded in step:
+        commanded = 0.05 if is_held else commanded
+        turn = 0.0 if is_held else commanded
+        place += turn
+        angle_noise, speed_noise = random.standard_normal((2, ARMS, 1))
+        seen, speeds = place + 0.05 * angle_noise, turn / STEP + 0.5 * speed_noise
+        track = track.filter(seen, speeds, np.full((ARMS, 1), commanded), STEP)
+        errors.append(track.joint_angles - place)
+    assert np.std(errors[50:]) < (0.03 if is_held else 0.012)  # by speeds alone 0.02 both
 
 
 def test_a_moving_target_is_predicted_and_a_jump_is_followed_at_once():
@@ -119,7 +135,7 @@ def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
         delay = delay.record(posture.joint_angles + 1.0, posture, INTERFACE)
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
-        posture = before.filter(before.seen + STEP * turn, speeds, STEP)
+        posture = before.filter(before.seen + STEP * turn, speeds, still, STEP)
         delay = delay.estimate(before, posture)
     assert delay.late == late
 
@@ -134,7 +150,8 @@ def locks_after(turns, commanded, lockable=()):
     posture, locked = PostureTrack.start(*np.zeros((2, 1, 3))), []
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
-        before, posture = posture, posture.filter(posture.joint_angles + turn, turn / STEP, STEP)
+        before, seen = posture, posture.joint_angles + turn
+        posture = before.filter(seen, turn / STEP, np.array([commanded]), STEP)
         locks = locks.identify(last_step(before, posture, commanded), lockable)
         locked.append(locks.is_locked[0])
     return np.array(locked)
@@ -337,8 +354,10 @@ def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
     noisy = random.normal(0, 0.05, (40, 3))
     after = angles + 0.01 * (speeds + speeds[::-1])
     start = PostureTrack.start(angles, speeds)
-    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], STEP)
-    alone = PostureTrack.start(angles[:1], speeds[:1]).filter(after[:1], speeds[-1:], STEP)
+    turn = 0.02 * speeds
+    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, STEP)
+    one = PostureTrack.start(angles[:1], speeds[:1])
+    alone = one.filter(after[:1], speeds[-1:], turn[:1], STEP)
     np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
     aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
     is_within = np.abs(aims) < 2.9

@@ -61,8 +61,9 @@ def test_agents_that_play_all_at_once_act_as_one_by_one(agent, monkeypatch):
     made = gym.make("MMCReach-v0")
     alone = run_episodes(mmc_gym.make_agent(agent, made), made, episode_seeds(3, 12))
     for one, other in zip(found, alone, strict=True):
-        np.testing.assert_array_equal(one.joint_angles, other.joint_angles)
-        np.testing.assert_array_equal(one.rewards, other.rewards)
+        # A network alone sums in another order than in a batch, so its last bits may differ.
+        np.testing.assert_allclose(one.joint_angles, other.joint_angles, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.rewards, other.rewards, rtol=0, atol=1e-12)
 
 
 def test_a_scenario_is_played_by_its_name():

@@ -190,10 +190,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _identify_body(self, state: BodyState, seen: Seen) -> BodyState:
         if not self.parts.identifies_body:
             return state
-        hands = as_points(seen.hand)
+        hands, joint_angles = as_points(seen.hand), state.senses.posture.likely
         if self.learns:
-            hands = state.memory.as_given(hands, seen.joint_angles)
-        return state._replace(evidence=state.evidence.add(seen.joint_angles, hands))
+            hands = state.memory.as_given(hands, joint_angles)
+        return state._replace(evidence=state.evidence.add(joint_angles, hands))
 
     def _forecast(self, state: BodyState) -> ReachProblem:
         """Predict where the joints are now, and where the hand should be when a command acts."""

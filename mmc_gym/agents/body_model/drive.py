@@ -151,7 +151,8 @@ class Drive(NamedTuple):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
             lead = np.where(noise > 0, left + trust * (lead - left), lead)
-        lead = bounded(lead, LARGEST_LEAD)
+        is_limited = interface.control != "joint_position"  # the action is a lead, at most this one
+        lead = bounded(lead, interface.max_joint_delta if is_limited else LARGEST_LEAD)
         return posture + lead, self._replace(lead=lead)
 
 

@@ -3,12 +3,18 @@
 Noise and delay are estimated from the observations.
 
 **Posture.**  A joint that is seen at q with the speed v, and a control step Δt later with v′, has
-turned by Δt (v + v′)/2, up to an error of Δt |v − v′|/2.  An innovation beyond that is noise.  The
-median of the joints is robust to a joint that hits something; for normal noise of variance R its
-mean square is 0.455 · 2R (0.455 is the square of the normal median deviation).  A Kalman filter has
-one variance P for all joints of an arm, and Q is the mean square of Δt (v − v′)/2:
+turned by m = Δt (v + v′)/2, up to an error of Δt |v − v′|/2.  An innovation beyond that is noise.
+The median of the joints is robust to a joint that hits something; for normal noise of variance R
+its mean square is 0.455 · 2R (0.455 is the square of the normal median deviation).  The command
+predicts the turn, too: c, see `commanded_turn`.  Near the target it is far more exact than noisy
+speeds, but not for a joint that a load, a lock or an obstacle keeps from following.  This shows in
+its last turn t.  So a Kalman filter weighs both, with Q_m the mean square of Δt (v − v′)/2:
 
-    P ← P + Q,     K = P / (P + R),     q̂ ← q̂ + Δt (v + v′)/2 + K · innovation,     P ← (1 − K) P
+    Q_c = (0.7 (t − c))² + (0.05 c)²,     t̂ = (Q_c m + Q_m c) / (Q_c + Q_m)
+    P ← P + Q_c Q_m / (Q_c + Q_m),     K = P / (P + R)
+    q̂ ← q̂ + t̂ + K · innovation,     P ← (1 − K) P
+
+Innovations whose running mean is more than noise show a wrong prediction, and its square adds to P.
 
 **Target.**  Third differences of a smooth movement vanish, so those of the target are noise: for
 white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  The better of two
@@ -49,6 +55,11 @@ from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
+SLIP = 0.7  # share of a joint's difference from its commanded turn that remains a step later
+SERVO_ERROR = 0.05  # error of a commanded turn, as a share of it
+LEAST_ERROR = 1e-4  # least error of a commanded turn, radians
+BIAS_RATE = 0.1  # rate at which the mean of the innovations follows them
+BIASED = 9 * BIAS_RATE / (2 - BIAS_RATE)  # (three standard deviations of that mean)², per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
 NOISE_RATE = 0.1  # rate at which the estimates of noise follow the observations
 LARGEST = 0.3  # largest innovation that counts as noise, radians
@@ -89,7 +100,9 @@ class Senses(NamedTuple):
         joint_angles, speeds, place = seen.joint_angles, seen.joint_speeds, as_points(seen.target)
         if parts.filters:
             step = interface.control_step
-            posture = self.posture.filter(joint_angles, speeds, step)
+            commands = self.delay.commands_seen()
+            commanded = commanded_turn(interface, self.posture.joint_angles, commands)
+            posture = self.posture.filter(joint_angles, speeds, commanded, step)
             target = self.target.filter(place, step)
         else:
             posture = self.posture.accept(joint_angles, speeds)
@@ -133,17 +146,20 @@ class PostureTrack(NamedTuple):
     seen: Floats  # joint angles as last seen
     speeds: Floats  # as last seen
     noise: Floats  # R, variance of the seen angles, (n, 1)
-    doubt: Floats  # P, variance of the filtered angles, (n, 1)
+    doubt: Floats  # P, variance of the filtered angles
+    bias: Floats  # running mean of the innovations, where there is noise
     age: Floats  # number of observations, (n, 1)
 
     @classmethod
     def start(cls, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after the first observation."""
         still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
-        return cls(joint_angles, still, joint_angles, speeds, noise=none, doubt=none, age=none + 1)
+        return cls(joint_angles, still, joint_angles, speeds, none, still, still, age=none + 1)
 
-    def filter(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
-        """Return the estimate after one more observation, a control step later."""
+    def filter(
+        self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
+    ) -> PostureTrack:
+        """Return the estimate after one more observation, a control step and a command later."""
         half = control_step / 2
         turn: Floats = half * (speeds + self.speeds)
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
@@ -156,13 +172,19 @@ class PostureTrack(NamedTuple):
         median = np.clip(median, 0.0, LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
-        doubt = np.where(self.age == 1, noise, self.doubt)
-        doubt = doubt + (unclear * unclear).mean(axis=-1, keepdims=True)
+        of_speeds = (unclear * unclear).mean(axis=-1, keepdims=True)
+        of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
+        of_command += LEAST_ERROR**2
+        share = of_speeds / (of_speeds + of_command)
+        turn = turn + share * (commanded - turn)
+        innovation = wrap_angle(joint_angles - self.joint_angles - turn)
+        bias = is_noisy * (self.bias + BIAS_RATE * (innovation - self.bias))
+        doubt = np.where(self.age == 1, noise, self.doubt) + share * of_command
+        doubt = doubt + np.maximum(bias * bias - BIASED * noise, 0.0)
         gain = doubt / (doubt + noise)
-        filtered = turn + gain * wrap_angle(joint_angles - self.joint_angles - turn)
-        turn = np.where(is_noisy, filtered, exact)
+        turn = np.where(is_noisy, turn + gain * innovation, exact)
         after = self._turned(turn, joint_angles, speeds)
-        return after._replace(noise=noise, doubt=(1 - gain) * doubt)
+        return after._replace(noise=noise, doubt=(1 - gain) * doubt, bias=bias)
 
     def accept(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after one more observation, taken as exact."""
@@ -174,6 +196,11 @@ class PostureTrack(NamedTuple):
         return self._replace(
             joint_angles=joint_angles, turn=turn, seen=seen, speeds=speeds, age=age
         )
+
+    @property
+    def likely(self) -> Floats:
+        """Joint angles as seen, where they are clear; else filtered."""
+        return np.where(self.deviation < CLEAR, self.seen, self.joint_angles)
 
     @property
     def deviation(self) -> Floats:
