@@ -149,6 +149,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if not every(is_first):
             after = self._compare_step(state, seen)
             state = where(is_first, state, after) if some(is_first) else after
+        state = state._replace(senses=state.senses._replace(hand=as_points(seen.hand)))
         return self._identify_body(state, seen)
 
     def _compare_step(self, state: BodyState, seen: Seen) -> BodyState:
@@ -190,22 +191,22 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _identify_body(self, state: BodyState, seen: Seen) -> BodyState:
         if not self.parts.identifies_body:
             return state
-        hands, joint_angles = as_points(seen.hand), state.senses.posture.likely
+        hands, joint_angles = as_points(seen.hand), state.senses.of_hand
         if self.learns:
             hands = state.memory.as_given(hands, joint_angles)
         return state._replace(evidence=state.evidence.add(joint_angles, hands))
 
     def _forecast(self, state: BodyState) -> ReachProblem:
         """Predict where the joints are now, and where the hand should be when a command acts."""
-        (posture, target, delay), locks = state.senses, state.locks
-        now = posture.joint_angles
+        delay, locks, now = state.senses.delay, state.locks, state.senses.posture.joint_angles
         if some(delay.late):
             now = delay.run_forward(self.interface, now)
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
         body = self._body(state)
-        aim = within_reach(body.felt(target.predict(delay.late + LAG)), body.lengths)
+        target = state.senses.target.predict(delay.late + delay.lag + LAG)
+        aim = within_reach(body.felt(target), body.lengths)
         return ReachProblem(now, aim, body.lengths, held)
 
     def _plan_route(self, state: BodyState, problem: ReachProblem) -> Route:

@@ -28,7 +28,9 @@ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
 Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
 
 **Delay.**  It is the time from the first command that should be felt to the first movement.  An old
-posture is run forward through the commands sent since (Miall, Weir, Wolpert and Stein 1993).
+posture is run forward through the commands sent since (Miall, Weir, Wolpert and Stein 1993).  Hand
+and target may be seen later than joints are felt: until the hand first moves.  A late hand belongs
+to the posture of its time.
 
 Literature: N. Morrison (1969), Introduction to sequential smoothing and prediction, McGraw-Hill.
 E. Brookner (1998), Tracking and Kalman filtering made easy, Wiley.  R. C. Miall, D. J. Weir,
@@ -73,6 +75,7 @@ SAME = 1e-5  # resolution of observed positions (float32), segment lengths
 LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
+ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
 CLEARLY = 5.0  # a commanded turn of this many times the onset should be felt
 EARLY = 6  # observations in which noise may still be taken for a movement
@@ -84,15 +87,19 @@ class Senses(NamedTuple):
     posture: PostureTrack
     target: TargetTrack
     delay: Delay
+    hand: Points  # as last seen
+    postures: Floats  # joint angles, the latest last, (n, LONGEST_DELAY + 1, N)
 
     @classmethod
     def start(cls, interface: ReachInterface, sensed: Sensed) -> Senses:
-        """Return the senses after the first observation, of arms at rest."""
+        """Return the senses after the first observation, of arms at rest, but for the hand."""
         joint_angles = sensed.joint_angles
         return cls(
             PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
             TargetTrack.start(as_points(sensed.target)),
             Delay.start(command_of(interface, joint_angles, joint_angles)),
+            np.zeros(len(joint_angles), complex),
+            np.repeat(joint_angles[:, None], LONGEST_DELAY + 1, axis=1),
         )
 
     def update(self, seen: Seen, interface: ReachInterface, parts: Parts) -> Senses:
@@ -107,14 +114,32 @@ class Senses(NamedTuple):
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        delay = self.delay.estimate(self.posture, posture)
+        hand = as_points(seen.hand)
+        hand_moves = np.abs(hand - self.hand) > ONSET_OF_HAND
+        delay = self.delay.estimate(self.posture, posture, hand_moves)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
-            delay = delay._replace(late=self.delay.late)
-        return Senses(posture, target, delay)
+            delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
+        postures = self.postures
+        if not every(delay.is_seen) or some(delay.lag):  # else they are not needed
+            likely = posture.likely[:, None]
+            postures = np.concatenate([postures[:, 1:], likely], axis=1)
+        return Senses(posture, target, delay, self.hand, postures)
 
     def record(self, command: Floats, interface: ReachInterface) -> Senses:
         """Return the senses after commands were sent."""
         return self._replace(delay=self.delay.record(command, self.posture, interface))
+
+    @property
+    def of_hand(self) -> Floats:
+        """Joint angles at the time at which the hand is seen.
+
+        A hand that has not been seen to move, although joints have, is where it was at first.
+        """
+        lag, waits = self.delay.lag, self.delay.is_felt & ~self.delay.is_seen
+        if not some(lag) and not some(waits):
+            return self.posture.likely
+        steps = np.where(waits, LONGEST_DELAY, lag).astype(np.intp)
+        return self.postures[np.arange(len(steps)), LONGEST_DELAY - steps]
 
     def last_step(self, before: Senses, interface: ReachInterface) -> LastStep:
         """Return what is seen of the last control step, after what was seen `before`."""
@@ -329,31 +354,41 @@ class Delay(NamedTuple):
 
     commands: Floats  # those sent (`command_of`), the latest last, (n, LONGEST_DELAY + 1, N)
     due: Floats  # number of observations since the first that should show movement, (n,)
-    late: Floats  # the delay, (n,)
-    is_felt: Bools  # whether a movement has been seen, (n,)
+    late: Floats  # the delay of the joints, (n,)
+    is_felt: Bools  # whether a movement of theirs has been seen, (n,)
+    late_sight: Floats  # the delay of hand and target, (n,)
+    is_seen: Bools  # whether the hand has been seen to move, (n,)
 
     @classmethod
     def start(cls, command: Floats) -> Delay:
         """Return the estimate for arms at rest, held by these commands."""
         held = np.repeat(command[:, None], LONGEST_DELAY + 1, axis=1)
         zero = np.zeros(len(command))
-        return cls(held, due=zero, late=zero, is_felt=zero > 0)
+        return cls(held, zero, zero, zero > 0, zero, zero > 0)
 
-    def estimate(self, before: PostureTrack, posture: PostureTrack) -> Delay:
-        """Return the estimate after one more observation of the posture.
+    @property
+    def lag(self) -> Floats:
+        """How much later hand and target are seen than the joints are felt, (n,)."""
+        return np.maximum(self.late_sight - self.late, 0.0)
+
+    def estimate(self, before: PostureTrack, posture: PostureTrack, hand_moves: Bools) -> Delay:
+        """Return the estimate after one more observation of the posture and the hand.
 
         Values that repeat exactly show no movement, because even noise would change them.
         """
-        if every(self.is_felt) and every(posture.age > EARLY):
+        if every(self.is_felt & self.is_seen) and every(posture.age > EARLY):
             return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
-        late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
+        waited = np.clip(self.due - 1, 0, LONGEST_DELAY)
+        late = np.where(self.is_felt, self.late, waited)
+        late_sight = np.where(self.is_seen, self.late_sight, waited)
         # In the first observations noise may look like movement, so it must be confirmed.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
         is_felt = moves | (self.is_felt & keeps)
         due = self.due + (self.due > 0)
-        return self._replace(due=due, late=late, is_felt=is_felt)
+        is_seen = self.is_seen | hand_moves
+        return Delay(self.commands, due, late, is_felt, late_sight, is_seen)
 
     def record(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
         """Return the estimate after commands were sent."""
