@@ -278,8 +278,8 @@ class Comparison:
         """What was played, in a sentence."""
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         return (
-            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, the "
-            f"same starts and targets for all agents. {control_note(self.controls)}"
+            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, "
+            f"same starts and targets for all. {control_note(self.controls)}"
         )
 
     @property

@@ -135,7 +135,7 @@ def control_note(controls: Mapping[str, str]) -> str:
     others = other_controls(controls)
     most = next(one for agent, one in controls.items() if agent not in others)
     but = ", ".join(f"{agent} by {one}" for agent, one in others.items())
-    return f"Agents act by {most}{but and f', {but}'}."
+    return f"All act by {most}{but and f', but {but}'}."
 
 
 class Arms:

@@ -18,7 +18,7 @@ from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
-from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.envs.perturbations import VisionDelay, VisuomotorRotation
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
@@ -127,8 +127,8 @@ def test_a_target_at_rest_is_averaged(equal):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.5], ids=["exact", "noisy speeds"])
-@pytest.mark.parametrize("late", [0, 7])
-def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
+@pytest.mark.parametrize(("late", "late_sight"), [(0, 0), (7, 7), (0, 5), (3, 6)])
+def test_delay_is_the_time_until_a_movement_is_felt_and_seen(late, late_sight, noise):
     still = np.zeros((1, 3))
     posture, delay = PostureTrack.start(still, still + noise), Delay.start(still)
     for look in range(12):
@@ -136,8 +136,19 @@ def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
         posture = before.filter(before.seen + STEP * turn, speeds, still, STEP)
-        delay = delay.estimate(before, posture)
-    assert delay.late == late
+        delay = delay.estimate(before, posture, np.array([look >= late_sight]))
+    assert (delay.late, delay.late + delay.lag) == (late, late_sight)
+
+
+@pytest.mark.parametrize("late", [2, 10])
+def test_a_hand_that_is_seen_late_changes_no_length(late):
+    envs = gym.make_vec("MMCReach-v0", 10, perturbations=(VisionDelay(late * STEP),))
+    (observations, _), state, agent = envs.reset(seed=1), None, mmc_body(ReachInterface.of(envs))
+    for _ in range(60):
+        actions, state = agent.predict(observations, state)
+        observations, *_ = envs.step(actions)
+        assert (state.evidence.body.lengths == 1.0).all()
+    assert (state.senses.delay.lag == late).all()
 
 
 def last_step(before, after, commanded):
