@@ -167,15 +167,14 @@ def compare(
     Args:
         agents: Names; files or folders of policies; .zip files of stable-baselines3; module:name;
             'runs/mine-*' for several trainings of one agent; LABEL=... for another name.
-        scenarios: One scenario, such as centre-out or delay-150; or your own environment, by id,
-            module:Id or module:function.
-        focus: The agents to compare with each other one; your own if not given.
+        scenarios: One scenario, such as delay-150; or your own environment, by id, module:Id or
+            module:function.
+        focus: Agents to compare with each other one; yours by default.
         episodes: Episodes of each agent.
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
         interface: Of your own environment, module:name: where in its observations things are.
-        wrapper: module:function that wraps the environment of models as in their training;
-            LABEL=module:function for one of them.
+        wrapper: module:function of what a model was trained behind; LABEL=... of one model.
         explain: Print all of how to read the numbers.
     """
     from mmc_gym.benchmark import compare
