@@ -40,7 +40,8 @@ from mmc_gym.agents.body_model.imagination import (
 from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.senses import LastStep, Senses
+from mmc_gym.agents.body_model.response import Response
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -62,6 +63,7 @@ class BodyState(NamedTuple):
     route: Route
     drive: Drive
     memory: Memory
+    response: Response
 
 
 class BodyAgent(FeedbackAgent[BodyState]):
@@ -80,6 +82,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """
         super().__init__(interface)
         self.parts, self.subjects = parts, subjects
+        self.has_own_act = type(interface).act is not ReachInterface.act
         self.imagination = Imagination(interface, model, parts.imagines)
         self.road_map = RoadMap(self.imagination)
 
@@ -96,6 +99,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
             route=Route.start(joint_angles, as_points(sensed.target)),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
+            response=Response.start(
+                np.zeros_like(joint_angles), LONGEST_DELAY if self.has_own_act else 0
+            ),
         )
 
     @property
@@ -116,12 +122,15 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.learns:
             state = self._begin_movements(state, seen)
         state = self._observe(state, seen)
-        problem = self._forecast(state)
+        angles, speeds = self._predict_now(state, seen)
+        problem = self._forecast(state, angles)
         state = state._replace(route=self._plan_route(state, problem))
         joint_targets, state = self._drive(state, problem)
-        # Late or noisy joint angles are corrected, speeds are as seen.
-        now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
-        return self.interface.act(joint_targets, now), state
+        now = Seen(problem.joint_angles, seen.target, speeds, seen.hand)
+        action = self.interface.act(joint_targets, now)
+        if self.has_own_act:
+            state = state._replace(response=state.response.record(action))
+        return action, state
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
         """Let movements begin with what was learned in those before."""
@@ -162,6 +171,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         senses = state.senses.update(seen, self.interface, self.parts)
         step = senses.last_step(state.senses, self.interface)
         state = state._replace(senses=senses)
+        if self.has_own_act:
+            delay, response = senses.delay, state.response
+            response = response.observe(seen.joint_speeds, delay.late, delay.is_felt)
+            state = state._replace(response=response)
         state = self._identify_locks(state, step)
         state = self._estimate_strength(state, step)
         return self._locate_obstacles(state, step)
@@ -196,11 +209,27 @@ class BodyAgent(FeedbackAgent[BodyState]):
             hands = state.memory.as_given(hands, joint_angles)
         return state._replace(evidence=state.evidence.add(joint_angles, hands))
 
+<<<<<<< HEAD
     def _forecast(self, state: BodyState) -> ReachProblem:
         """Predict where the joints are now, and where the hand should be when a command acts."""
         delay, locks, now = state.senses.delay, state.locks, state.senses.posture.joint_angles
         if some(delay.late):
             now = delay.run_forward(self.interface, now)
+=======
+    def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats]:
+        """Return angles and speeds of the joints now; late or noisy angles are corrected."""
+        angles, speeds = state.senses.posture.joint_angles, seen.joint_speeds
+        delay, interface = state.senses.delay, self.interface
+        if not some(delay.late):
+            return angles, speeds
+        if not self.has_own_act:
+            return delay.run_forward(interface, angles), speeds
+        return state.response.run_forward(angles, speeds, delay.late, interface.control_step)
+
+    def _forecast(self, state: BodyState, now: Floats) -> ReachProblem:
+        """Return where the joints are now, and where the hand should be when a command acts."""
+        (_, target, delay), locks = state.senses, state.locks
+>>>>>>> 65224d1 (wip)
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)

@@ -23,7 +23,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 def as_points(vectors: Floats) -> Points:
     """Return vectors (..., 2) as points, (...)."""
-    return vectors.view(np.complex128)[..., 0]
+    return np.ascontiguousarray(vectors, np.float64).view(np.complex128)[..., 0]
 
 
 def as_vectors(points: Points) -> Floats:
