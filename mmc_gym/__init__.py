@@ -10,21 +10,12 @@ from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.envs import make, make_vec
 
 if TYPE_CHECKING:
-    from mmc_gym import (
-        agents,
-        benchmark,
-        body,
-        experiments,
-        measures,
-        network,
-        report,
-        robots,
-        training,
-    )
+    from mmc_gym import agents, benchmark, body, experiments, measures, network, report, training
     from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.agents import make_agent
     from mmc_gym.agents.trial_learner import TrialLearner
     from mmc_gym.benchmark.compare import compare
+    from mmc_gym.check import check_interface
     from mmc_gym.experiments.trials import run_experiment
     from mmc_gym.listing import (
         list_agents,
@@ -50,6 +41,7 @@ __all__ = [
     "agents",
     "benchmark",
     "body",
+    "check_interface",
     "compare",
     "envs",
     "experiments",
@@ -65,7 +57,6 @@ __all__ = [
     "measures",
     "network",
     "report",
-    "robots",
     "run_episodes",
     "run_experiment",
     "train",
@@ -78,6 +69,7 @@ _HOMES = {
     "MismatchWarning": "_errors",
     "TrialLearner": "agents.trial_learner",
     "UserError": "_errors",
+    "check_interface": "check",
     "compare": "benchmark.compare",
     "list_agents": "listing",
     "list_experiments": "listing",

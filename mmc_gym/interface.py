@@ -308,7 +308,8 @@ class ReachInterface:
     speed_limit: float  #: largest joint speed, rad/s
     servo_gain: float  #: speed that a position servo asks for per angle to its target, 1/s
     control_step: float  #: duration of a control step, s
-    #: lowest and highest angle of each joint, radians; None: joints turn freely
+    #: lowest and highest angle of each joint, radians, infinite where there is none; None: joints
+    #: turn freely
     joint_limits: JointLimits | None = None
     #: joints that lock during an episode; empty if agents are not given them
     lockable_joints: tuple[int, ...] = ()
@@ -325,7 +326,7 @@ class ReachInterface:
             return bool(numbers) and all(0 < number < math.inf for number in numbers)
 
         def rising(ends: Numbers) -> bool:
-            return len(ends) == 2 and -math.inf < ends[0] < ends[1] < math.inf
+            return len(ends) == 2 and ends[0] < ends[1]
 
         require_numbers("segment_lengths", self.segment_lengths, "positive and finite", positive)
         is_arm = self.arm is None or hasattr(self.arm, "joint_count")
@@ -338,7 +339,7 @@ class ReachInterface:
             require_positive("success_distance", self.success_distance)
         count = self._joint_count
         if self.joint_limits is not None:
-            accepted = f"{count} pairs of finite angles, the lower one first"
+            accepted = f"{count} pairs of angles, the lower one first; infinite where there is none"
             require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
         joints = self.lockable_joints if np.iterable(self.lockable_joints) else (None,)
         fine = all(is_whole(joint) and 0 <= joint < count for joint in joints)
@@ -444,10 +445,11 @@ class ReachInterface:
         """Return the angles within the joint limits that are nearest to these, (..., N)."""
         if self.joint_limits is None:
             return joint_angles
-        low, high = self._low_and_high
-        middle, half = (low + high) / 2, (high - low) / 2
+        low, high, middle, half, is_open = self._limits
         within: Floats = middle + wrap_angle(joint_angles - middle).clip(-half, half)
-        return within
+        return (
+            within if is_open is None else np.where(is_open, joint_angles.clip(low, high), within)
+        )
 
     def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
         """Return the angles reached on the short way from `before` up to the limits, (..., N).
@@ -456,7 +458,7 @@ class ReachInterface:
         """
         if self.joint_limits is None:
             return joint_angles
-        low, high = self._low_and_high
+        low, high, *_ = self._limits
         return (before + wrap_angle(joint_angles - before)).clip(low, high)
 
     def turn(self, joint_angles: Floats, joint_targets: Floats) -> Floats:
@@ -466,12 +468,21 @@ class ReachInterface:
         """
         if self.joint_limits is None:
             return wrap_angle(joint_targets - joint_angles)
-        return self.within_limits(joint_targets) - self.within_limits(joint_angles)
+        turn = self.within_limits(joint_targets) - self.within_limits(joint_angles)
+        low, high, *_, is_open = self._limits
+        if is_open is None:
+            return turn
+        return np.where(np.isinf(low) & np.isinf(high), wrap_angle(turn), turn)
 
     @cached_property
-    def _low_and_high(self) -> tuple[Floats, Floats]:
+    def _limits(self) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_] | None]:
+        """Return lowest, highest, middle, half the range, and which are infinite, if any is."""
         low, high = np.transpose(self.joint_limits or ())
-        return low, high
+        is_open = np.isinf(low) | np.isinf(high)
+        if not is_open.any():
+            return low, high, (low + high) / 2, (high - low) / 2, None
+        ends = np.where(is_open, 0.0, (low, high))
+        return low, high, ends.mean(axis=0), np.diff(ends, axis=0)[0] / 2, is_open
 
     def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
         """Return the action that sends the joints to their targets, (..., N), float32 within ±1.

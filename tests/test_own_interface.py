@@ -1,5 +1,6 @@
 """Environments of others, Reacher-v5 among them: agents act in them, and tools measure it."""
 
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,7 @@ import pytest
 from scipy.linalg import solve_continuous_are
 
 from examples import reacher
-from mmc_gym import make_agent
+from mmc_gym import check_interface, make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
@@ -80,6 +81,13 @@ def changed(seen=lambda seen: seen, action=lambda action: action):
 
 def as_float32(seen):
     return replace(seen, **{name: np.float32(value) for name, value in vars(seen).items()})
+
+
+def in_columns(seen):
+    """Arrays whose last axis is not contiguous."""
+    return replace(
+        seen, **{name: value[..., None][..., 0].copy("F") for name, value in vars(seen).items()}
+    )
 
 
 def make_drawer():
@@ -240,9 +248,68 @@ def test_the_servo_is_the_solution_of_the_riccati_equation():
     np.testing.assert_allclose(reacher.root(weight) @ reacher.root(weight), weight)
 
 
+class Late(gym.ObservationWrapper):
+    """What was seen two control steps ago; at first the start."""
+
+    def reset(self, **arguments):
+        self.seen = []
+        return super().reset(**arguments)
+
+    def observation(self, observation):
+        self.seen.append(observation)
+        return self.seen[max(0, len(self.seen) - 3)]
+
+
+def test_late_angles_and_speeds_are_bridged_where_act_is_your_own(tmp_path):
+    envs = [Late(BODIES["as given"].make(tmp_path)) for _ in range(8)]
+    found = play(make_agent("mmc-body", envs[0], interface=reacher.INTERFACE), envs, [*range(8)])
+    assert (found["distance"] < 0.01).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "line"),
+    [
+        ({}, None),
+        ({"seen": lambda one: replace(one, hand=0.1 * one.hand)}, "hand of see is 0.1 times"),
+        ({"seen": lambda one: replace(one, hand=one.hand + 1)}, r"\[1.0, 1.0\] .* the base"),
+        (
+            {"seen": lambda one: replace(one, joint_angles=np.degrees(one.joint_angles))},
+            "in degrees",
+        ),
+        (
+            {"seen": lambda one: replace(one, joint_angles=np.cumsum(one.joint_angles, -1))},
+            "absolute",
+        ),
+        ({"seen": lambda one: replace(one, hand=0 * one.hand)}, "hand of see"),
+        (
+            {"seen": lambda one: replace(one, joint_speeds=9 * one.joint_speeds)},
+            "joint_speeds of see are .* times",
+        ),
+        ({"seen": lambda one: replace(one, joint_speeds=one.hand[:1])}, "joint_speeds of see must"),
+        ({"action": lambda action: -action}, "act turns joint 0 away from"),
+        ({"action": lambda action: action * [1, 0]}, "act turns joint 1 hardly toward"),
+        ({"action": lambda action: action if action.ndim == 1 else action[0]}, "a batch"),
+    ],
+)
+def test_a_check_says_in_one_line_what_is_wrong_with_an_interface(wrong, line):
+    lines = check_interface(make_drawer(), changed(**wrong))
+    assert (lines == []) if line is None else any(re.search(line, one) for one in lines)
+    assert not any("\n" in one for one in lines)
+
+
+def test_a_joint_without_a_limit_turns_the_short_way_and_one_with_an_end_stops_there():
+    ends = ((-np.inf, np.inf), (-np.inf, 1.0))
+    open_ended = ReachInterface(LENGTHS, "joint_delta", 5.0, 5.0, 0.02, joint_limits=ends)
+    turn = open_ended.turn(np.array([3.0, 0.5]), np.array([-3.0, 2.0]))
+    np.testing.assert_allclose(turn, [2 * np.pi - 6.0, 0.5])
+    agent = make_agent("mmc-body", make_drawer(), interface=replace(INTERFACE, joint_limits=ends))
+    assert last_info(agent, make_drawer(), 3)["is_success"]
+
+
 @pytest.mark.parametrize("name", ["mmc-body", "ik-body"])
-def test_an_interface_may_return_any_float_type(name):
-    single = changed(as_float32, np.float32)
+@pytest.mark.parametrize("kind", [as_float32, lambda seen: in_columns(as_float32(seen))])
+def test_an_interface_may_return_any_float_type(name, kind):
+    single = changed(kind, np.float32)
     agent = make_agent(name, make_drawer(), interface=single)
     assert last_info(agent, make_drawer(), 3)["is_success"]
 
@@ -281,7 +348,7 @@ def test_what_an_interface_returns_is_checked(wrong, message, name):
         ("control_step", -0.02),
         ("success_distance", np.nan),
         ("joint_limits", ((-1.0, 1.0),)),
-        ("joint_limits", ((-1.0, 1.0), (-np.inf, 1.0))),
+        ("joint_limits", ((-1.0, 1.0), (np.nan, 1.0))),
         ("joint_limits", ((-1.0, 1.0), (1.0, -1.0))),
         ("lockable_joints", (2,)),
         ("lockable_joints", 1),

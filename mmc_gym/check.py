@@ -1,0 +1,136 @@
+"""Check a `ReachInterface` that you wrote, against its environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mmc_gym._errors import UserError
+from mmc_gym.geometry import Floats, segments_from_joint_angles, wrap_angle
+from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
+
+TURN, STEPS, EPISODES = (
+    0.2,
+    25,
+    3,
+)  # radians that each joint is asked to turn, and in how many steps
+CLOSE = 0.02  # shares of the reach, or of what is compared
+
+
+def check_interface(env: Any, interface: Any, seed: int = 0) -> list[str]:
+    r"""Return what seems to be wrong with an interface, a line each; an empty list if nothing is.
+
+    Some episodes are begun in the environment, and each joint is asked to turn a little.
+
+    Args:
+        env: a single environment.
+        interface: as `InterfacedEnv` takes it.
+        seed: of the first episode; others follow.
+
+    >>> import gymnasium as gym
+    >>> from dataclasses import replace
+    >>> from examples.reacher import INTERFACE
+    >>> env = gym.make("Reacher-v5")
+    >>> check_interface(env, INTERFACE)
+    []
+    >>> print(*check_interface(env, replace(INTERFACE, segment_lengths=(0.1, 0.11))), sep="\n")
+    segment_lengths should be near 1, got (0.1, 0.11): choose another unit of length in see
+    hand of see is 10 times where segment_lengths and joint_angles put it: check the units
+    """
+    ours = InterfacedEnv(env, interface).parameters
+    observations = [env.reset(seed=seed + number)[0] for number in range(EPISODES)]
+    try:
+        seen = [ours.look(one) for one in observations]
+        actions = [_action(ours, one, one.joint_angles) for one in seen]
+        return [
+            *_batches(ours, observations, seen, actions),
+            *_hand(ours, seen),
+            *_turns(ours, env, seed),
+        ]
+    except UserError as error:
+        return [str(error)]
+
+
+def _action(ours: ReachInterface, seen: Seen, targets: Floats) -> Any:
+    return ours.checked_action(ours.act(targets, seen), seen.joint_angles.shape[:-1])
+
+
+def _batches(ours: ReachInterface, observations: Any, seen: Any, actions: Any) -> list[str]:
+    """Compare what is seen and done in a batch with what is in each of its rows."""
+    if isinstance(observations[0], dict):
+        batch: Any = {key: np.stack([one[key] for one in observations]) for key in observations[0]}
+    else:
+        batch = np.stack(observations)
+    rows = {name: np.stack([vars(one)[name] for one in seen]) for name in vars(seen[0])}
+    try:
+        together = ours.look(batch)
+        action = _action(ours, together, together.joint_angles)
+    except Exception as error:  # of any kind: see and act are the user's
+        return [f"see or act fails for a batch of observations: {error}"]
+    wrong = [name for name, row in rows.items() if not np.allclose(vars(together)[name], row)]
+    lines = [f"{name} of see differs between a batch and its rows" for name in wrong]
+    if not np.allclose(action, np.stack(actions), atol=1e-6):
+        lines.append("what act returns differs between a batch and its rows")
+    return lines
+
+
+def _hand(ours: ReachInterface, seen: list[Seen]) -> list[str]:
+    """Compare the hand with forward kinematics, and lengths with 1."""
+    angles, hands = np.stack([s.joint_angles for s in seen]), np.stack([s.hand for s in seen])
+    lengths, lines = ours.segment_lengths, []
+    if ours.arm is None and not 0.2 <= np.mean(lengths) <= 5:
+        message = f"segment_lengths should be near 1, got {lengths}"
+        lines.append(f"{message}: choose another unit of length in see")
+
+    def places(angles: Floats) -> Floats:
+        if ours.arm is not None:
+            return ours.arm.forward(angles)[:, :3, 3]
+        return segments_from_joint_angles(angles, np.array(lengths)).sum(axis=-2)
+
+    expected, near = places(angles), CLOSE * sum(lengths)
+    if np.abs(hands - expected).max() <= near:
+        return lines
+    ratio = float((hands * expected).sum() / (expected**2).sum())
+    shift = (hands - expected).mean(axis=0)
+    about = "where segment_lengths and joint_angles put it"
+    if np.abs(hands - ratio * expected).max() <= near * abs(ratio):
+        return [*lines, f"hand of see is {ratio:.3g} times {about}: check the units"]
+    if np.abs(hands - expected - shift).max() <= near:
+        at = shift.round(3).tolist()
+        return [*lines, f"hand of see is {at} from {about}: the base is the origin"]
+    for change, turned in {
+        "absolute, and should be relative to the segment before": np.diff(angles, prepend=0),
+        "in degrees, and should be in radians": np.radians(angles),
+    }.items():
+        if np.abs(hands - places(turned)).max() <= near:
+            return [*lines, f"joint_angles of see are {change}"]
+    farthest = np.linalg.norm(hands - expected, axis=-1).max()
+    return [*lines, f"hand of see is up to {farthest:.3g} from {about}"]
+
+
+def _turns(ours: ReachInterface, env: Any, seed: int) -> list[str]:
+    """Ask each joint to turn, and compare speeds with how fast angles change."""
+    lines, ratios = [], []
+    for joint in range(len(ours.look(env.reset(seed=seed)[0]).joint_angles)):
+        best = np.zeros(2)
+        for side, way in enumerate((TURN, -TURN)):
+            seen = start = ours.look(env.reset(seed=seed)[0])
+            targets = start.joint_angles.copy()
+            targets[joint] += way
+            for _ in range(STEPS):
+                before, (observation, *_) = seen, env.step(_action(ours, seen, targets))
+                seen = ours.look(observation)
+                change = wrap_angle(seen.joint_angles - before.joint_angles) / ours.control_step
+                mean = (seen.joint_speeds + before.joint_speeds) / 2
+                ratios += [(change @ mean, change @ change)]
+                turned = wrap_angle(seen.joint_angles - start.joint_angles)[joint] / way
+                best[side] = max(best[side], turned, key=abs)
+        if best.max() < 0.3:
+            which = "away from" if best.min() < -0.3 else "hardly toward"
+            lines.append(f"act turns joint {joint} {which} its target")
+    product, square = np.sum(ratios, axis=0)
+    if square > 0 and not 0.5 < product / square < 2:
+        ratio = f"{product / square:.3g} times the change of joint_angles per control_step"
+        lines.append(f"joint_speeds of see are {ratio}, {ours.control_step:g} s")
+    return lines
