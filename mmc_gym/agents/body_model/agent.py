@@ -209,13 +209,6 @@ class BodyAgent(FeedbackAgent[BodyState]):
             hands = state.memory.as_given(hands, joint_angles)
         return state._replace(evidence=state.evidence.add(joint_angles, hands))
 
-<<<<<<< HEAD
-    def _forecast(self, state: BodyState) -> ReachProblem:
-        """Predict where the joints are now, and where the hand should be when a command acts."""
-        delay, locks, now = state.senses.delay, state.locks, state.senses.posture.joint_angles
-        if some(delay.late):
-            now = delay.run_forward(self.interface, now)
-=======
     def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats]:
         """Return angles and speeds of the joints now; late or noisy angles are corrected."""
         angles, speeds = state.senses.posture.joint_angles, seen.joint_speeds
@@ -228,8 +221,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     def _forecast(self, state: BodyState, now: Floats) -> ReachProblem:
         """Return where the joints are now, and where the hand should be when a command acts."""
-        (_, target, delay), locks = state.senses, state.locks
->>>>>>> 65224d1 (wip)
+        delay, locks = state.senses.delay, state.locks
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
