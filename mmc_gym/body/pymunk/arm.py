@@ -115,14 +115,15 @@ class PymunkArm(SingleArm):
     def step(self) -> None:
         self._history.append(("step",))
         space, substep = self._space._space, self.parameters.substep
-        field, records = self._field, self.records_effort
+        field, walls, records = self._field, self._walls, self.records_effort
+        is_pushed = field is not None or walls is not None
         before = self._velocities() if records else []
         if records:
             self.servo_impulses, self.servo_work = [0.0] * self._count, [0.0] * self._count
-        if self._walls is not None:
-            self._walls.contacts[:] = 0.0
+        if walls is not None:
+            walls.contacts[:] = 0.0
         for _ in range(self.parameters.substeps):
-            if field is not None or self._walls is not None:
+            if is_pushed:
                 self._push_hand(field)
             chipmunk.cpSpaceStep(space, substep)
             if field is not None:
@@ -134,8 +135,8 @@ class PymunkArm(SingleArm):
                     self.servo_impulses[joint] += impulse
                     self.servo_work[joint] += impulse * abs(before[joint] + after[joint]) / 2
                 before = after
-        if self._walls is not None:
-            self.contact = self._walls.contacts[0].tolist()
+        if walls is not None:
+            self.contact = walls.contacts[0].tolist()
         self._read()
 
     def _velocities(self) -> list[float]:
