@@ -140,16 +140,20 @@ def shown(row: Mapping[str, Any]) -> str:
     return text.replace("-", "−")
 
 
-def table(rows: pd.DataFrame) -> list[dict[str, str]]:
-    """Return a row for each quantity: its values of agents and people."""
-    found = []
-    agents = [agent for agent in rows["agent"].unique() if agent != PEOPLE]
-    for (of, _), group in rows.groupby(["of", "measure"], sort=False):
-        unit = group["unit"].iloc[0]
-        values = {str(row["agent"]): shown(row) for row in group.to_dict("records")}
-        quantity = group["label"].iloc[0] + (f" [{unit}]" if unit else "")
-        each = {agent: values.get(agent, "–") for agent in (*agents, PEOPLE)}
-        found.append({"quantity": quantity, "in": str(of), **each})
+def tables(rows: pd.DataFrame) -> dict[str, list[dict[str, str]]]:
+    """Return a table for each scenario and experiment: people and agents, and their quantities."""
+    found = {}
+    for of, group in rows.groupby("of", sort=False):
+        labels = dict.fromkeys(
+            group["label"] + group["unit"].map(lambda unit: unit and f" [{unit}]")
+        )
+        known = group["estimate"].notna() | (group["agent"] == PEOPLE)
+        agents = sorted(dict.fromkeys(group.loc[known, "agent"]), key=lambda name: name != PEOPLE)
+        lines = [{str(of): agent, **dict.fromkeys(labels, "–")} for agent in agents]
+        for row in group[known].to_dict("records"):
+            label = row["label"] + (f" [{row['unit']}]" if row["unit"] else "")
+            lines[agents.index(row["agent"])][label] = shown(row)
+        found[str(of)] = lines
     return found
 
 
@@ -189,12 +193,13 @@ def main(
     rows += learning_rows(experiments, agents, subjects, out / "store", out)
     frame = pd.DataFrame(rows)
     frame.to_csv(out / "people.csv", index=False)
-    lines = table(frame)
-    text = markdown_table(lines[0], (line.values() for line in lines)) + "\n"
-    (out / "people.md").write_text(text, encoding="utf-8")
     save_figure(draw(frame), out / "people")
-    plain = [{key: escape(value) for key, value in line.items()} for line in lines]
-    Console(width=200).print(table_of(plain, "agents and people"))
+    console, written = Console(width=200), []
+    for of, lines in tables(frame).items():
+        written.append(markdown_table(lines[0], (line.values() for line in lines)))
+        plain = [{key: escape(value) for key, value in line.items()} for line in lines]
+        console.print(table_of(plain, of))
+    (out / "people.md").write_text("\n\n".join(written) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
