@@ -6,6 +6,7 @@ changes: functions that call each other belong in one file, but for `sine_cosine
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from mmc_gym._errors import missing
 
 try:
     import numba
+    from numba.core import event
 except ModuleNotFoundError as error:
     if error.name != "numba":
         raise
@@ -26,9 +28,26 @@ inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 def compiled(function: Any) -> Any:
     """Compile a function that Python calls, at the first call, and keep the result on disk."""
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # there is nowhere to write the cache
         return inner(function)
+    _KEPT.add(made)
+    return made
+
+
+class _Announcer(event.Listener):
+    """Says in a terminal, on stderr, that numba compiles what it has not kept from earlier."""
+
+    def on_start(self, event: Any) -> None:
+        if event.data["dispatcher"] in _KEPT and sys.stderr.isatty():
+            print("numba compiles, once on this machine: some seconds", file=sys.stderr)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+_KEPT: set[Any] = set()  # what `compiled` has made
+event.register("numba:compile", _Announcer())
 
 
 @inner

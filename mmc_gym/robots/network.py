@@ -280,6 +280,7 @@ class HingeNetwork:
             iterations,
             far=max(far, loose),
             turn=max(turn, LOOSE[1]),
+            has_start=first is not None,
             newton_steps=NEWTON_STEPS,
             is_exact=far < loose or turn < LOOSE[1],
             ridge=(RIDGE * far) ** 2,
@@ -316,7 +317,6 @@ class HingeNetwork:
             blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
             if start is not None:
                 blocks["start"] = start[rows, :, None]
-                course = course._replace(has_start=True)
             self._settle(blocks, course)
 
             away = None
@@ -356,7 +356,7 @@ class HingeNetwork:
         many = np.repeat(blocks, parts)
         each = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
         many["angle"] = np.tile(each, (len(blocks), 1, 1))
-        self._settle(many, course._replace(iterations=0, newton_steps=0))
+        self._settle(many, course._replace(iterations=0, newton_steps=0, has_start=False))
         return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
 
     def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
