@@ -116,8 +116,9 @@ def test_the_first_page_scrolls_nowhere_on_a_phone(site, browser):
     metrics = {"width": 375, "height": 812, "deviceScaleFactor": 2, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     browser.get((site / "index.html").as_uri())
-    # The playground says how high it is, and its frame follows.
-    frame = "return document.querySelector('iframe.playground').style.height"
+    # Once it is seen, the playground says how high it is, and its frame follows.
+    frame = "const frame = document.querySelector('iframe.playground'); frame.scrollIntoView();"
+    frame += "return frame.style.height"
     WebDriverWait(browser, 120, 0.1).until(lambda _: browser.execute_script(frame))
     wide = "return [...document.querySelectorAll('.bd-article *')].filter(one => one.clientWidth"
     wide += " && one.scrollWidth > one.clientWidth + 1).map(one => one.outerHTML.slice(0, 99))"
