@@ -45,7 +45,10 @@ SHORT = {
         "--sac-steps 150 --ppo-steps 2048 --trials 2 --every 1 --out out/curves.json",
         r"trials .* SAC .* PPO",
     ),
-    "people": ("--agents ik-dls --subjects 2 --episodes 8 --out out", r"rotation-30 .* after-effect"),
+    "people": (
+        "--agents ik-dls --subjects 2 --episodes 8 --out out",
+        r"rotation-30 .* after-effect",
+    ),
     "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
 }
 
