@@ -179,6 +179,9 @@ SINGLE = (
     Entry("MMCReachGoal-v0", "", partial(single, "MMCReachGoal-v0")),
 )
 
+# Each episode draws its own strength; to compare with the same engine without perturbations.
+DRAWN = {"drawn lengths": "longer--30..35", "drawn rotations": "rotation--60..60"}
+
 VECTOR = (
     _vector_entry(PEER, "sync", 64, "sync"),
     _vector_entry(PEER, "async", 64, "async"),
@@ -193,6 +196,11 @@ VECTOR = (
         _native_entry("native, analytic", arms, threads, engine="analytic")
         for arms in (256, 4096)
         for threads in (1, 2)
+    ),
+    *(
+        _native_entry(f"native, {engine}, {name}", arms, 1, engine=engine, perturbations=drawn)
+        for name, drawn in DRAWN.items()
+        for engine, arms in (("pymunk", 256), ("analytic", 4096))
     ),
 )
 

@@ -6,6 +6,8 @@ Lengths are in segment lengths, angles in radians; arrays have leading batch axe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -71,7 +73,7 @@ def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
     >>> reachable_radii((1.0, 1.0, 1.0)), reachable_radii((3.0, 1.0))
     ((0.0, 3.0), (2.0, 4.0))
     """
-    reach = float(sum(segment_lengths))
+    reach = float(reduce(add, segment_lengths))  # not sum(), see `shared_ring`
     return max(0.0, 2 * max(segment_lengths) - reach), reach
 
 

@@ -128,14 +128,15 @@ class ObservationLayout:
         limits[-6:-2] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
         return limits
 
-    def space(self) -> spaces.Box:
-        """Return the observation space of `MMCReach-v0`."""
-        return spaces.Box(-self.limits, self.limits, dtype=np.float32)
+    def space(self, more: int = 0) -> spaces.Box:
+        """Return the observation space of `MMCReach-v0`, with more numbers within ±1 behind."""
+        limits = np.concatenate([self.limits, np.ones(more, np.float32)])
+        return spaces.Box(-limits, limits, dtype=np.float32)
 
-    def goal_space(self, farthest: float) -> spaces.Dict:
+    def goal_space(self, farthest: float, more: int = 0) -> spaces.Dict:
         """Return the observation space of `MMCReachGoal-v0`; no coordinate is beyond `farthest`."""
         goal = spaces.Box(-farthest, farthest, (2,), np.float64)
-        posture = spaces.Box(-1.0, 1.0, (self.posture_size,), np.float32)
+        posture = spaces.Box(-1.0, 1.0, (self.posture_size + more,), np.float32)
         return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
 
     def additions(self, space: spaces.Space[Any]) -> int:

@@ -167,7 +167,8 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     yield "task", f"{task_name}: {_about(task)}"
     for one in found.changes:
         kinds = dict.fromkeys((one.untimed, one.perturbation))
-        yield "perturbation", f"{one.perturbation}: {' '.join(map(_about, kinds))}"
+        shown = one.perturbation if one.range is None else one.name
+        yield "perturbation", f"{shown}: {' '.join(map(_about, kinds))}"
     for heading, delay in (("delay", setup.delay), ("delay of sight", setup.vision_delay)):
         if delay:
             late = 1000 * delay * setup.given_body.control_step

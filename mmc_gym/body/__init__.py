@@ -6,6 +6,7 @@ integrates the equations of motion of the chain, compiled by numba, for millions
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 from mmc_gym._errors import require_choice
@@ -45,14 +46,14 @@ def make_arms(
     count: int = 1,
     servo: Servo = "position",
     threads: int = 1,
-    differ: bool = False,
+    others: Sequence[ArmParameters] = (),
 ) -> ArmBatch:
     """Build `count` equal arms, simulated by `engine` in `threads` threads; see `make_arm`.
 
-    Only arms that may `differ` can be given other parameters at a reset.
+    Only arms with `others` can be given other parameters at a reset, such as these.
     """
     _, batch = _classes(engine)
-    return batch(parameters, count, servo, threads, differ)
+    return batch(parameters, count, servo, threads, others)
 
 
 def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:

@@ -17,6 +17,7 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
+NewParameters = list[tuple[Indices, ArmParameters]]  # of some arms, which may be `ArmColumns`
 
 
 class SingleArm(ABC):
@@ -137,19 +138,19 @@ class ArmBatch(ABC):
         count: int = 1,
         servo: Servo = "position",
         threads: int = 1,
-        differ: bool = False,
+        others: Sequence[ArmParameters] = (),
     ) -> None:
         """Build equal arms, stretched along the x axis and at rest; see `SingleArm`.
 
-        The number of threads that simulate the arms does not change the result.  Arms that may
-        `differ` can be given other parameters when they are reset.
+        The number of threads that simulate the arms does not change the result.  If there are
+        `others`, arms can be given other parameters at a reset: such as these, or between them.
         """
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
         self._threads = require_whole("threads", threads)
         self.parameters = p = _checked(parameters)
         self._servo: Servo = servo
-        self._differ, self._is_loaded = differ, False
+        self._others, self._is_loaded = tuple(others), False
         self._shape = self._count, len(p.segment_lengths)
         self._lockable = np.zeros(self._shape, dtype=bool)
         self._lockable[:, p.lockable_joints] = True
@@ -165,13 +166,13 @@ class ArmBatch(ABC):
         joint_angles: ArrayLike,
         arms: ArrayLike | None = None,
         joint_velocities: ArrayLike | None = None,
-        parameters: ArmParameters | None = None,
+        parameters: ArmParameters | Sequence[ArmParameters] | None = None,
     ) -> None:
         """Place k of the arms, see `SingleArm.reset`.  The others do not change.
 
         Angles and velocities are (k, N); `arms` are k different indices, or None for all.  Arms
-        that may differ take new `parameters`, as `ArmColumns` one for each; their `substep`,
-        `substeps` and whether they have `joint_limits` and `obstacles` stay.
+        with others take new `parameters`, as `ArmColumns` or a sequence one for each; whether
+        they have `joint_limits` stays.
         """
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]
@@ -181,12 +182,19 @@ class ArmBatch(ABC):
             speeds = _table("joint_velocities", joint_velocities, shape)
         if parameters is None and self._is_loaded:
             parameters = self.parameters
+        new: NewParameters = []
         if parameters is not None:
-            require(self._differ, "parameters", parameters, "left out for arms that do not differ")
-            self._lockable[chosen] = False
-            for joint in parameters.lockable_joints:
-                self._lockable[chosen, joint] = True
-        self._place(chosen, postures, speeds, parameters)
+            accepted = "left out for arms without others"
+            require(bool(self._others), "parameters", parameters, accepted)
+            if isinstance(parameters, ArmParameters):
+                new = [(chosen, parameters)]
+            else:
+                new = [(chosen[[row]], p) for row, p in enumerate(parameters)]
+        for some, p in new:
+            self._lockable[some] = False
+            for joint in p.lockable_joints:
+                self._lockable[some, joint] = True
+        self._place(chosen, postures, speeds, new)
 
     def command(self, values: ArrayLike) -> None:
         """Set values (count, N) for the servos, see `SingleArm.command`."""
@@ -209,7 +217,7 @@ class ArmBatch(ABC):
 
         The next reset gives them their first parameters, unless it is given others.
         """
-        require(self._differ, "arms", arms, "arms that may differ")
+        require(bool(self._others), "arms", arms, "arms with others")
         self._is_loaded = True
         self._load(parameters, self._indices(arms))
 
@@ -230,7 +238,7 @@ class ArmBatch(ABC):
 
     @abstractmethod
     def _place(
-        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
+        self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters
     ) -> None: ...
 
     @abstractmethod

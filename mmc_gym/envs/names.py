@@ -2,16 +2,17 @@
 
 One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
 
-    [<task>+]<perturbation>[-<strength>][-at-<s>][-over-<s>][-known][+<perturbation>…]
+    [<task>+]<perturbation>[-<strength>|-<low>..<high>][-at-<s>][-over-<s>][-known][+<perturbation>…]
 
     random, centre-out, rotation-30, centre-out+rotation-30, longer-35-known+delay-160
     rotation-40+rotation--80-at-1, gain-1.4-over-2
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
-`force-field-60`).  With `-at-1` it begins 1 s after the start, with `-over-2` it grows for 2 s from
-no change to its strength.  With `-known`, agents are given the changed body.  Without a task it is
-"random": an agent's episodes differ from those of `random` in the perturbations alone, because the
-same seeds draw the same starts and targets.
+`force-field-60`).  From a range (`rotation--60..60`) each episode draws its strength.  With `-at-1`
+it begins 1 s after the start, with `-over-2` it grows for 2 s from no change to its strength.  With
+`-known`, agents are given the changed body.  Without a task it is "random": an agent's episodes
+differ from those of `random` in the perturbations alone, because the same seeds draw the same
+starts and targets.
 
 A name is parsed once, where a user or a file gives it; from there on values travel, a `TaskEntry`
 and one or more of `Change`.  Names are looked up, and nothing is imported for them.
@@ -30,6 +31,7 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym.envs.drawn import OneOf
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
     Channel,
@@ -52,6 +54,7 @@ from mmc_gym.envs.perturbations import (
     VisionDelay,
     VisionNoise,
     VisuomotorRotation,
+    drawn_fields,
 )
 from mmc_gym.envs.tasks import (
     DoubleStep,
@@ -63,6 +66,7 @@ from mmc_gym.envs.tasks import (
     outward,
 )
 
+_NOT_KNOWN = "left out, as agents are given their arm once, not for each episode"
 BASELINE = "random"
 """The task without perturbation: strength 0 of every family."""
 
@@ -87,6 +91,25 @@ class TaskEntry:
 
 
 @dataclass(frozen=True)
+class Range:
+    """A range of strengths, uniformly distributed."""
+
+    low: float
+    high: float
+    whole: bool = False  #: whether only whole numbers are drawn
+
+    def support(self) -> tuple[float, float]:
+        """Return the least and the greatest strength."""
+        return self.low, self.high
+
+    def ppf(self, shares: Any) -> Any:
+        """Return the strengths at these quantiles."""
+        if self.whole:
+            return np.minimum(self.low + np.floor((self.high - self.low + 1) * shares), self.high)
+        return self.low + (self.high - self.low) * shares
+
+
+@dataclass(frozen=True)
 class Family:
     """Perturbations of one kind, which differ in strength."""
 
@@ -99,8 +122,10 @@ class Family:
     whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
     has_strength: bool = True  #: without, there is one perturbation, and its name has no number
 
-    def with_strength(self, strength: float, known: bool = False) -> Change:
+    def with_strength(self, strength: float | Range, known: bool = False) -> Change:
         """Return the perturbation of this strength, of which agents know if it is `known`.
+
+        From a `Range` each episode draws its strength.
 
         Raises:
             UserError: if there is no such strength, or if agents can never be given the change.
@@ -110,6 +135,12 @@ class Family:
             raise UserError(f"'-known' may follow {accepted} only, got it after {self.name!r}")
         if not self.has_strength and strength != self.default:
             raise UserError(f"{self.name} takes no strength, got {_digits(strength)}")
+        if isinstance(strength, Range):
+            name, accepted = f"the range of {self.name}", "from a low to a higher strength"
+            require(strength.low < strength.high, name, _digits(strength), accepted)
+            require(not known, f"{self.name}-{_digits(strength)}", "-known", _NOT_KNOWN)
+            self.with_strength(strength.low)
+            return replace(self.with_strength(strength.high), strength=None, range=strength)
         try:
             perturbation = self.make(strength)
         except (UserError, TypeError) as error:
@@ -130,13 +161,15 @@ class Change:
     perturbation: Perturbation
     family: Family | None = None
     strength: float | None = None  #: comparable within the family
+    range: Range | None = None  #: from which each episode draws a strength, in its place
 
     @property
     def name(self) -> str:
         """Its name for people and files: "longer-35-known"; without a family, its class's."""
-        if self.family is None or self.strength is None:
+        strength = self.strength if self.range is None else self.range
+        if self.family is None or strength is None:
             return type(self.perturbation).__name__
-        number = f"-{_digits(self.strength)}" if self.family.has_strength else ""
+        number = f"-{_digits(strength)}" if self.family.has_strength else ""
         return f"{self.family.name}{number}{self.suffix}"
 
     @property
@@ -162,6 +195,13 @@ class Change:
         return self.perturbation.known
 
     @property
+    def is_drawn(self) -> bool:
+        """Whether each episode draws its own strength or option."""
+        one = self.perturbation
+        is_option = hasattr(one, "ppf")
+        return self.range is not None or is_option or bool(drawn_fields(one, self.untimed))
+
+    @property
     def untimed(self) -> Perturbation:
         """The perturbation at its full strength, whenever that is."""
         one = self.perturbation
@@ -175,12 +215,15 @@ class Change:
     @property
     def description(self) -> str:
         """What changes, in a line."""
-        if self.family is None or self.strength is None:
+        strength = self.strength if self.range is None else self.range
+        if self.family is None or strength is None:
             return self.name
-        text = self.family.description.format(_digits(self.strength))
+        text = self.family.description.format(_digits(strength))
         if self.family.known:
             text += ", given to agents" if self.known else ", not given to agents"
         words = {"at": "from {} s on", "over": "growing over {} s"}
+        if self.range is not None:
+            text += ", drawn for each episode"
         timing = (words[word].format(_digits(seconds)) for word, seconds in self._timing)
         return ", ".join([text, *timing])
 
@@ -204,15 +247,17 @@ class Change:
             raise UserError(f"{self.name} cannot begin or grow like this: {error}") from error
 
 
-def _digits(strength: float) -> str:
+def _digits(strength: float | Range) -> str:
     """Return a strength as the grammar reads it: exact, and without an exponent."""
+    if isinstance(strength, Range):
+        return f"{_digits(strength.low)}..{_digits(strength.high)}"
     return np.format_float_positional(strength, trim="-")
 
 
 # Parsing
 
 _CHANGE = re.compile(
-    r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?"
+    r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?)(?:\.\.(?P<high>-?\d+(?:\.\d+)?))?)?"
     r"(?:-at-(?P<at>\d+(?:\.\d+)?))?(?:-over-(?P<over>\d+(?:\.\d+)?))?(?P<known>-known)?"
 )
 
@@ -241,7 +286,11 @@ def parse_change(name: object, argument: str = "perturbations") -> Change:
     if match is None or match["family"] not in FAMILIES:
         raise _unknown(name, argument)
     family = FAMILIES[match["family"]]
-    strength = family.default if match["strength"] is None else float(match["strength"])
+    strength: float | Range = family.default
+    if match["strength"] is not None:
+        strength = float(match["strength"])
+    if match["high"] is not None:
+        strength = Range(float(match["strength"]), float(match["high"]), family.whole)
     change = family.with_strength(strength, known=match["known"] is not None)
     return change.timed(float(match["at"] or 0), float(match["over"] or 0))
 
@@ -255,6 +304,9 @@ def parse_task(name: object) -> TaskEntry:
 
 def as_change(value: object) -> Change:
     """Return a perturbation given by name or as an object."""
+    if isinstance(value, OneOf):
+        options = (None if one is None else as_change(one) for one in value.options)
+        return Change(OneOf(*options, weights=value.weights))
     if isinstance(value, Perturbation):
         value.check_hooks()
         return Change(value)
@@ -301,12 +353,17 @@ def _longer(percent: float) -> SegmentLength:
 
 
 def _shorter(percent: float) -> SegmentLength:
-    require(percent < 100, "the change of the segment's length", percent, "less than 100 %")
+    require(
+        bool(np.all(percent < 100)),
+        "the change of the segment's length",
+        percent,
+        "less than 100 %",
+    )
     return SegmentLength(1 - percent / 100)
 
 
 def _seconds(ms: float) -> float:
-    require(0 <= ms <= 1e6, "the delay", ms, "from 0 to 1000000 ms")
+    require(bool(np.all((ms >= 0) & (ms <= 1e6))), "the delay", ms, "from 0 to 1000000 ms")
     return ms / 1000
 
 
@@ -319,9 +376,10 @@ def _vision_delay(ms: float) -> VisionDelay:
 
 
 def _locked(number: float, time: float = 0.0) -> LockedJoint:
-    fine = number >= 1 and float(number).is_integer()
+    fine = bool(np.all(np.isfinite(number) & (number >= 1) & (np.floor(number) == number)))
     require(fine, "the joint that locks", number, "a whole number from 1 (at the base) on")
-    return LockedJoint(int(number) - 1, time)
+    joints: Any = np.asarray(number).astype(int) - 1  # of many arms, or of one
+    return LockedJoint(joints if joints.ndim else int(joints), time)
 
 
 def _locks(number: float) -> LockedJoint:

@@ -14,7 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -48,6 +48,23 @@ Place = tuple[Any, Any]  # (x, y): numbers, or arrays of one shape
 FOUR_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 
+class Drawn(np.ndarray):
+    """Numbers of many arms, drawn from a distribution whose ends were checked."""
+
+
+def ends_of(distribution: Any) -> tuple[float, float]:
+    """Return the least and the greatest value that is drawn: of a tail without end, its 1e-6."""
+    ends = zip(distribution.support(), (1e-6, 1 - 1e-6), strict=True)
+    low, high = (float(end if np.isfinite(end) else distribution.ppf(tail)) for end, tail in ends)
+    return low, high
+
+
+def drawn_fields(*perturbations: Perturbation) -> list[str]:
+    """Return the names of the fields that are distributions, see `mmc_gym.envs.drawn`."""
+    fields = (field for one in perturbations for field in vars(one).items())
+    return [name for name, value in fields if hasattr(value, "ppf")]
+
+
 class Perturbation:
     """Something that goes wrong; this base class changes nothing."""
 
@@ -55,10 +72,28 @@ class Perturbation:
     #: values of fields with which it changes nothing; without any it cannot be `Timed`
     neutral: ClassVar[Mapping[str, float]] = {}
 
+    def __init_subclass__(cls) -> None:
+        """Let the checks of a field be those of the ends of its distribution, if it has one."""
+        if "__post_init__" not in vars(cls):
+            return
+        check: Callable[[Perturbation], None] = vars(cls)["__post_init__"]
+
+        def check_ends(self: Perturbation) -> None:
+            drawn = {name: ends_of(getattr(self, name)) for name in drawn_fields(self)}
+            for end in (0, 1) if drawn else ():
+                at_end = object.__new__(type(self))
+                vars(at_end).update({**vars(self), **{k: ends[end] for k, ends in drawn.items()}})
+                check(at_end)
+            if not drawn and not any(isinstance(one, Drawn) for one in vars(self).values()):
+                check(self)
+
+        cls.__post_init__ = check_ends  # type: ignore[attr-defined]
+
     def grown(self, share: Any) -> Self:
         """Return it at a share of its strength, from 0 to 1: a number, or an array of n arms."""
         grown = object.__new__(type(self))  # its numbers may become arrays, and are checked already
         vars(grown).update(vars(self))
+        vars(grown).pop("turn", None)
         for name, none in self.neutral.items():
             vars(grown)[name] = none + share * (getattr(self, name) - none)
         return grown
@@ -131,6 +166,7 @@ class Gravity(Perturbation):
 
     acceleration: float = 60.0  #: segment lengths / s²; it is added to the `gravity` of the arm
     known = True
+    neutral = {"acceleration": 0.0}
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -146,6 +182,7 @@ class SegmentLength(Perturbation):
     factor: float = 1.2  #: new length over old
     segment: int = -1  #: index of the segment; -1 is the last
     known: bool = False  #: whether agents are given the new length
+    neutral = {"factor": 1.0}
 
     def __post_init__(self) -> None:
         require_positive("factor", self.factor)
@@ -153,7 +190,8 @@ class SegmentLength(Perturbation):
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         lengths = list(body.segment_lengths)
-        lengths[_index("segment", self.segment, len(lengths))] *= self.factor
+        segment = _index("segment", self.segment, len(lengths))
+        lengths[segment] = lengths[segment] * self.factor  # not in place: it may be an array
         return replace(body, segment_lengths=tuple(lengths))
 
 
@@ -231,6 +269,11 @@ class Cursor(Perturbation, ABC):
         """Return a distance from the base that the cursor never exceeds, grown or not."""
         return 3 * max(reach, math.hypot(*(self.centre or (0.0, 0.0))))
 
+    @cached_property
+    def turn(self) -> tuple[Any, Any]:
+        """Cosine and sine of its `degrees`."""
+        return _turn(self.degrees)  # type: ignore[attr-defined]
+
     def _if_shown(self, cursor: Place, hand: Place) -> Place:
         """Return the cursor, or the hand as long as the cursor has not begun."""
         if isinstance(self.shown, float):
@@ -261,14 +304,14 @@ class VisuomotorRotation(Cursor):
 
     @override
     def cursor(self, x: Any, y: Any, target: Place | None = None) -> Place:
-        return self._turned(x, y, self.degrees)
+        return self._turned(x, y, *self.turn)
 
     @override
     def hand(self, x: Any, y: Any) -> Place:
-        return self._turned(x, y, -self.degrees)
+        cos, sin = self.turn
+        return self._turned(x, y, cos, -sin)
 
-    def _turned(self, x: Any, y: Any, degrees: Any) -> Place:
-        cos, sin = _turn(degrees)
+    def _turned(self, x: Any, y: Any, cos: Any, sin: Any) -> Place:
         centre = self.centre or (0.0, 0.0)
         x, y = x - centre[0], y - centre[1]
         return centre[0] + cos * x - sin * y, centre[1] + sin * x + cos * y
@@ -328,7 +371,7 @@ class CursorMirror(Cursor):
 
     @override
     def cursor(self, x: Any, y: Any, target: Place | None = None) -> Place:
-        cos, sin = _turn(self.degrees)
+        cos, sin = self.turn
         centre = self.centre or (0.0, 0.0)
         x_away, y_away = x - centre[0], y - centre[1]
         along, across = cos * x_away + sin * y_away, cos * y_away - sin * x_away
@@ -359,7 +402,7 @@ class ErrorClamp(Cursor):
 
     @override
     def cursor(self, x: Any, y: Any, target: Place) -> Place:
-        cos, sin = _turn(self.degrees)
+        cos, sin = self.turn
         centre = self.centre or (0.0, 0.0)
         along, across, _ = _direction(centre, target)
         _, _, away = _direction(centre, (x, y))
@@ -576,6 +619,8 @@ class Timed(Perturbation):
     def __post_init__(self) -> None:
         require_between(0, LONGEST, at=self.at, over=self.over)
         neutral = getattr(self.perturbation, "neutral", {})
+        if isinstance(self.perturbation, Gravity | SegmentLength):
+            neutral = {}
         accepted = "one that can begin within an episode (cursors, senses, loads, force fields)"
         require(bool(neutral), "perturbation", self.perturbation, accepted)
         accepted = f"0, as a {type(self.perturbation).__name__} cannot grow"
@@ -592,8 +637,12 @@ class Timed(Perturbation):
 
     def share(self, steps: Any, control_step: float) -> Any:
         """Return the share of its strength after some control steps, (...)."""
-        since, rise = steps - round(self.at / control_step), round(self.over / control_step)
-        return np.clip((since + (rise == 0)) / max(rise, 1), 0.0, 1.0)
+        since, rise = steps - np.rint(self.at / control_step), np.rint(self.over / control_step)
+        return np.clip((since + (rise == 0)) / np.maximum(rise, 1), 0.0, 1.0)
+
+    @override
+    def grown(self, share: Any) -> Self:
+        return replace(self, perturbation=self.perturbation.grown(share))
 
     def moments(self, control_step: float) -> list[int]:
         """Return control steps, in order: that before it begins, and at most 101 as it grows."""
@@ -614,8 +663,12 @@ def timed_parts(
     ]
 
 
-def _index(name: str, index: int, count: int) -> int:
+def _index(name: str, index: Any, count: int) -> Any:
     """Return an index counted from 0; negative ones count from the end."""
+    if isinstance(index, np.ndarray):  # of many arms
+        return index.astype(int) % count
+    if isinstance(index, float) and index.is_integer():  # drawn
+        index = int(index)
     fine = is_whole(index) and -count <= index < count
     if not fine:
         also = f", {name} {index + 1} from the base" if is_whole(index) and index >= 0 else ""

@@ -17,6 +17,7 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
+from mmc_gym.envs.drawn import Draws
 from mmc_gym.envs.feedback import HandSight
 from mmc_gym.envs.spec import (
     GoalSetup,
@@ -25,7 +26,7 @@ from mmc_gym.envs.spec import (
     RewardSettings,
     require_finite_numbers,
 )
-from mmc_gym.envs.workspace import Point, distances
+from mmc_gym.envs.workspace import Point, distances, uniform_numbers
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
@@ -112,9 +113,17 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `control`, `reward_type` ("dense", "sparse"), `control_weight`, `precision_weight`,
     `smoothness_weight`, `success_distance`, `render_mode` ("human", "rgb_array"), `task` (a name or
     a `Task`; by name only tasks with the id's number of steps), `perturbations` (names or
-    `Perturbation`s), `engine` ("pymunk", "analytic"), and the fields of
+    `Perturbation`s), `observe_context`, `engine` ("pymunk", "analytic"), and the fields of
     `mmc_gym.body.ArmParameters`; the signature has the defaults.  The arm has as many joints as
     `segment_lengths`; action and observation grow with it.
+
+    ## Drawn Perturbations
+    The strength of a perturbation may be a range (`"rotation--60..60"`) or a frozen distribution of
+    scipy.stats (`VisuomotorRotation(uniform(-60, 120))`), and a perturbation `OneOf` several
+    (`mmc_gym.envs.drawn`): each episode draws its own.  `context` and `info["context"]` have what
+    was drawn; `reset(options={"context": {"rotation": 30}})` sets it; `observe_context` appends it
+    to the observation, scaled to ±1.  Agents are not given it.  `env.unwrapped.perturbations = …`
+    sets what later episodes draw from.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
     does; it has no window.  Long after the last reset it cannot be copied, see
@@ -129,22 +138,23 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     @takes(SingleArguments)
     def __init__(self, arguments: SingleArguments) -> None:
         """Make the environment; the class docstring explains the arguments."""
-        self._make(ReachSetup(arguments), arguments.render_mode)
+        self._make(ReachSetup, arguments)
 
-    def _make(self, setup: ReachSetup, render_mode: str | None) -> None:
-        self.setup, self.render_mode = setup, render_mode
+    def _make(self, kind: type[ReachSetup], arguments: SingleArguments) -> None:
+        self._arguments, self._kind = arguments, kind
+        self.setup = self._of_all = setup = kind(arguments)
+        self.render_mode = arguments.render_mode
         self.metadata = {**type(self).metadata, "render_fps": setup.frame_rate}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
         self.observation_space = setup.observation_space
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
-        self._has_events = setup.path_length > 1 or bool(setup.lock_step) or setup.is_timed
-        self._has_events = self._has_events or bool(setup.full.feedback)
+        self._draws = setup.draws
+        self._numbers = np.zeros(0) if setup.draws is None else setup.draws.samples()[0]
         self._hand_sight = HandSight(1, setup.unperturbed.control_step)
-        self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
-        self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
-        self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._renderer: Renderer | None = None
+        self._begin(setup)
+        self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
         self._ghost: list[float] | None = None
         self._place([0.0] * setup.joint_count, [(setup.reach, 0.0)])
@@ -156,12 +166,23 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
         If an option is not accepted, the environment stays as it was.
         """
-        checked = self.setup.check_options(options)
+        of_all = self._of_all
+        checked = of_all.check_options(options)
         super().reset(seed=seed)
+        if of_all.draws is not None:
+            drawn = uniform_numbers([self.np_random], len(of_all.draws.strengths))
+            numbers = of_all.draws.set(of_all.draws.numbers(drawn), checked.context)[0]
+            self._begin(of_all.episode(numbers))
+            self._numbers = numbers
+        elif self.setup is not of_all:
+            self._begin(of_all)
+        self._draws = of_all.draws
         self._place(*self.setup.draw_trial(self.np_random, checked))
         observation, _, info = self._look_and_reward()
         self._late.extend([observation] * self.setup.delay)
         observation = self._delayed(observation)
+        if self._draws is not None:
+            observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
         return observation, info
@@ -186,9 +207,20 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         observation, reward, info = self._look_and_reward()
         if setup.are_senses_disturbed:
             observation = self._delayed(observation)
+        if self._draws is not None:
+            observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
         return observation, reward, False, False, info
+
+    @property
+    def perturbations(self) -> Any:
+        """The perturbations, as they were given; others are those of the next episode."""
+        return self._arguments.perturbations
+
+    @perturbations.setter
+    def perturbations(self, perturbations: Any) -> None:
+        self._arguments, self._of_all = self._with_perturbations(perturbations)
 
     @property
     def arm(self) -> SingleArm:
@@ -247,8 +279,28 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
+    def _begin(self, setup: ReachSetup) -> None:
+        """Begin an episode with this setup, which another draw may have changed."""
+        if setup.body != self.setup.body:
+            self.close()  # the window shows one arm
+        self.setup = setup
+        self._has_events = setup.path_length > 1 or bool(setup.lock_step) or setup.is_timed
+        self._has_events = self._has_events or bool(setup.full.feedback)
+        self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
+        self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
+
+    def _with_context(self, observation: Any, info: Info) -> Any:
+        """Return the observation with what was drawn, if that is shown; write it into `info`."""
+        assert self._draws is not None
+        info["context"] = self._draws.context(self._numbers)
+        return (
+            with_context(observation, self._draws, self._numbers)
+            if self.setup.shows_context
+            else observation
+        )
+
     def _place(self, posture: list[float], targets: list[Point]) -> None:
-        self._arm.reset(posture)
+        self._arm.reset(posture, parameters=self.setup.body)
         if self.setup.loads:
             self._arm.load(self.setup.body_after(0))
         self._speeds = [0.0] * len(posture)
@@ -346,6 +398,14 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             return observation
         self._late.append(observation)
         return self._late[-1 - self._now.delay].copy()
+
+
+def with_context(observation: Any, draws: Draws, numbers: NDArray[np.float64]) -> Any:
+    """Return observations, (..., n) or a mapping, with drawn numbers, (..., m), behind them."""
+    if isinstance(observation, dict):
+        seen = with_context(observation["observation"], draws, numbers)
+        return {**observation, "observation": seen}
+    return np.concatenate([observation, draws.scaled(numbers)], axis=-1)
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.
@@ -446,4 +506,4 @@ class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
     @takes(SingleGoalArguments)
     def __init__(self, arguments: SingleGoalArguments) -> None:
         """Make the environment; the class docstring explains the arguments."""
-        self._make(GoalSetup(arguments), arguments.render_mode)
+        self._make(GoalSetup, arguments)

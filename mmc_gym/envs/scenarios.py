@@ -88,7 +88,9 @@ class Scenario:
         """The definition of the scenario for JSON; equal for equal scenarios."""
         last = self.changes[-1].suffix if self.changes else ""
         task = {} if self.task.is_shipped else {"task": self.task.task}
-        changes = tuple(one.perturbation for one in self.changes)
+        changes = tuple(
+            (c.perturbation, c.range) if c.range else c.perturbation for c in self.changes
+        )
         arguments = {**task, **({"perturbations": changes} if changes else {}), **self.arguments}
         return {
             "id": environment_id(self.task.name if self.task.is_shipped else BASELINE),
@@ -407,6 +409,8 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
+        if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
+            return {"name": value.dist.name, "args": value.args, **value.kwds}
         code = code_of(value)
         return {"name": type(value).__name__, **_fields(value), **({"code": code} if code else {})}
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
+from functools import reduce
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -23,6 +25,7 @@ from mmc_gym._errors import (
     is_point,
     is_whole,
     require,
+    require_array,
     require_choice,
     require_numbers,
     require_rows,
@@ -30,6 +33,7 @@ from mmc_gym._errors import (
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
+from mmc_gym.envs.drawn import Draws, NoColumns, senses_of
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Channel,
@@ -46,10 +50,11 @@ from mmc_gym.envs.perturbations import (
     timed_parts,
 )
 from mmc_gym.envs.tasks import RandomTarget, Request, Trial
-from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, shared_ring
+from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, rings, shared_ring
 from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_speeds
 
 _MOST_TRIALS = 300
+_AT_LAST = 10**9  # control steps, after which nothing grows any more
 _TRIED = 10  # trials of your own task, when the environment is made
 
 
@@ -59,6 +64,12 @@ class Options(NamedTuple):
     joint_angles: list[float] | None = None
     target: Point | None = None
     trial: int | None = None
+    context: dict[str, NDArray[np.float64]] | None = None  #: drawn numbers, or (n,) of n arms
+
+    @property
+    def has_trial(self) -> bool:
+        """Whether any option changes the trial."""
+        return self[:3] != (None, None, None)
 
 
 class RewardSettings(NamedTuple):
@@ -80,6 +91,16 @@ class Disturbance(NamedTuple):
     feedback: list[Feedback]  #: when the hand is seen
 
 
+class Episodes(NamedTuple):
+    """What k arms have drawn: numbers in it may be arrays (k,)."""
+
+    body: ArmColumns | None  #: None if arms do not differ
+    ring: tuple[Any, Any]  #: smallest and largest distance of targets from the base
+    parts: list[Perturbation]  #: that disturb the senses, as of `ReachSetup`
+    cursor: Cursor | None  #: in the end
+    lock_steps: Any  #: control steps after which joints lock, or -1
+
+
 class State(NamedTuple):
     """Arrays of n arms: what a compiled step reads, and from `speeds` on what it writes."""
 
@@ -94,11 +115,23 @@ class ReachSetup:
     """What follows from the arguments of a reaching environment."""
 
     observation_space: spaces.Space[Any]
+    perturbations: tuple[Perturbation, ...]
+    body: ArmParameters  #: the simulated arm, with all perturbations
+    given_body: ArmParameters  #: with those that are `known`
+    parts: list[Perturbation]  #: that disturb the senses; cursors with their centres
+    delay: int  #: of all senses, control steps, at last
+    vision_delay: int  #: of sight, besides `delay`, control steps, at last
+    workspace: Workspace  #: where hand and target can be
+    is_sight_disturbed: bool  #: whether what is shown is not what is true, or was before
+    farthest: float  #: distance from the base that the hand, or its cursor, never exceeds
 
     def __init__(self, arguments: ReachArguments) -> None:
         """Check what the arguments are together; raise a `UserError` if they do not fit."""
         self.control, self.engine = arguments.control, arguments.engine
         self.success_distance = arguments.success_distance
+        self.shows_context = arguments.observe_context
+        self.arms_differ = False  #: whether bodies are drawn
+        self.others: list[ArmParameters] = []  #: bodies that may be drawn
         self.reward = RewardSettings(
             arguments.control_weight,
             arguments.precision_weight,
@@ -109,19 +142,23 @@ class ReachSetup:
         #: the name by which the task was given, or None
         self.task_name = arguments.task if isinstance(arguments.task, str) else None
         changes = _changes(arguments.perturbations)
-        self.perturbations = tuple(one.perturbation for one in changes)
+        #: what is drawn for each episode, or None
+        self.draws = Draws(changes) if any(one.is_drawn for one in changes) else None
         task = [] if arguments.task == "random" else [self.task_name or type(self.task).__name__]
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task, *(one.name for one in changes)])
         self.unperturbed = arguments.arm  #: the arm of the arguments
-        self._change_arm(changes)
+        if self.draws is None:
+            self._perturb(changes)
+        else:
+            self._perturb([*map(Change, self.draws.perturbations(self.draws.samples()[0]))])
         self._check_loads(changes)
         channels = [one.curl for one in self.perturbations if isinstance(one, Channel)]
         self.channel = sum(channels) if channels else None  #: curl that it is made for, or None
         if channels:
+            accepted = "without a channel if any of them is drawn"
+            require(self.draws is None, "perturbations", self.perturbations, accepted)
             make_arm(self.engine, self.body).confine((0.0, 0.0), (1.0, 0.0))
-        self._disturb_senses(changes)
-        self._find_workspace()
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
@@ -129,35 +166,125 @@ class ReachSetup:
         is_clipped = bool(self.noises) or self.farthest > self.reach
         #: of the observations; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
-        self.observation_space = self.layout.space()
+        #: how many numbers of the context are shown behind an observation
+        self.shown_count = len(self.draws.strengths) if self.draws and self.shows_context else 0
+        self.plain_space: spaces.Space[Any] = self.layout.space()  #: without the context
+        self.observation_space = self.layout.space(self.shown_count)
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         #: pictures a second, one each control step
         self.frame_rate = round(1 / self.given_body.control_step)
         self.task.check(self.workspace)
+        self.steps_lock = self.lock_steps > 0  #: whether joints may lock within an episode
         #: whether `workspace.draw_pairs` can draw many trials at once
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")
         self.path_length = 0  #: number of places on the path of the target
         for seed in range(_TRIED if self._is_own_task else 1):  # rather than later, in an episode
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
+        if self.draws is not None:
+            self._try_draws(self.draws)
+
+    def _perturb(self, changes: Sequence[Change]) -> None:
+        """Apply perturbations whose numbers are known."""
+        self.perturbations = tuple(one.perturbation for one in changes)
+        self._change_arm(changes)
+        plain = Perturbation.change_body
+        #: those that change the arm within an episode
+        self.loads = [
+            one
+            for one in self.perturbations
+            if isinstance(one, Timed) and type(one.perturbation).change_body is not plain
+        ]
+        self._disturb_senses(changes)
+        self._find_workspace()
+
+    def episode(self, numbers: NDArray[np.float64]) -> ReachSetup:
+        """Return the setup of an episode that has drawn these numbers, (m,)."""
+        assert self.draws is not None
+        one = copy(self)
+        one._perturb([*map(Change, self.draws.perturbations(numbers))])
+        return one
+
+    def _try_draws(self, draws: Draws) -> None:
+        """Make room for all draws; raise a `UserError` if one of them is impossible."""
+        samples = draws.samples()
+        every = []
+        for numbers in samples:
+            try:
+                every.append(one := self.episode(numbers))
+                one.task.check(one.workspace)
+                one.draw_trial(np.random.default_rng(0), Options())
+                if one.body != every[0].body or len(every) == 1:
+                    make_arm(self.engine, one.body, self.action.servo)
+            except UserError as error:
+                drawn = ", ".join(f"{k}={v:g}" for k, v in draws.context(numbers).items())
+                raise UserError(
+                    f"perturbations must be possible whatever is drawn, got {drawn}: {error}"
+                ) from error
+        bodies = [one.body for one in every]
+        same = {(one.joint_limits is None, one.control_step) for one in bodies}
+        require(len(same) == 1, "perturbations", bodies[0], "with joint limits always or never")
+        self.arms_differ = any(body != bodies[0] for body in bodies)
+        accepted = "without a drawn body if a load or force field begins within an episode"
+        require(not (self.loads and self.arms_differ), "perturbations", self.loads, accepted)
+        self.others = bodies if self.arms_differ else self.others
+        self.steps_lock = any(one.lock_steps > 0 for one in every)
+        self.delay = max(one.delay for one in every)
+        self.vision_delay = max(one.vision_delay for one in every)
+        self.farthest = max(one.farthest for one in every)
+        self.are_senses_disturbed = bool(self.noises or self.delay)
+        self.is_sight_disturbed = self.is_sight_disturbed or bool(self.vision_delay)
+        is_clipped = bool(self.noises) or self.farthest > self.reach
+        self.layout = replace(self.layout, is_clipped=is_clipped)
+        are_rings = all(one.workspace.is_ring for one in every)
+        self.draws_pairs = type(self.task) is RandomTarget and are_rings
+        if self.draws_pairs:  # all arms at once, if arrays give what numbers do
+            try:
+                many = self.episodes(samples)
+                rows = ArmColumns.of(many.body or self.body).rows(len(every))
+                locks_at = np.broadcast_to(many.lock_steps, len(every)).tolist()
+                alike = [
+                    (ArmColumns.of(one.body), one.lock_steps) == (row, locks)
+                    for one, row, locks in zip(every, rows, locks_at, strict=True)
+                ]
+                self.draws_pairs = all(alike) or (not many.body and not self.arms_differ)
+            except (NoColumns, TypeError, ValueError, UserError):
+                self.draws_pairs = False
+
+    def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
+        """Return what k arms have drawn, from (k, m) numbers, as arrays."""
+        assert self.draws is not None
+        parts = self.draws.perturbations(numbers)
+        senses = [self._placed(one) for one in senses_of(parts)]
+        cursor = self.disturbance(_AT_LAST, senses).cursor
+        body: ArmColumns | None = None
+        ring = self.ring
+        if self.arms_differ:
+            arm: ArmParameters = ArmColumns.of(self.unperturbed)
+            body = ArmColumns.of(reduce(lambda arm, one: one.change_body(arm), parts, arm))
+            ring = rings(body.segment_lengths, self.given_body.segment_lengths)
+        times = [one.time for one in parts if isinstance(one, LockedJoint)]
+        step = self.unperturbed.control_step
+        return Episodes(body, ring, senses, cursor, _lock_steps(times[0], step) if times else -1)
 
     def _disturb_senses(self, changes: Sequence[Change]) -> None:
         """Find out what disturbs the senses with all perturbations at their full strength."""
-        self._parts = [self._placed(one) for one in self.perturbations]
+        self.parts = [self._placed(one) for one in senses_of(self.perturbations)]
         timed = [one for one in self.perturbations if isinstance(one, Timed)]
         step = self.unperturbed.control_step
         self.is_timed = bool(timed)  #: whether perturbations begin or grow within an episode
         #: control steps of an episode between which no timed one changes much, in order
-        self.moments = np.unique([count for one in timed for count in one.moments(step)] or [0])
+        self.moments: Any = np.unique(
+            [count for one in timed for count in one.moments(step)] or [0]
+        )
         self.full = self.disturbance(int(self.moments[-1]))  #: in the end
         self.cursor, self.noises = self.full.cursor, self.full.noises
         self.delay, self.vision_delay = self.full.delay, self.full.vision_delay
         self.are_senses_disturbed = bool(self.noises or self.delay)
-        #: whether an observation shows something else than what is true, or was true before
         self.is_sight_disturbed = bool(self.noises or self.vision_delay or self.full.feedback)
         for kind, total in ((SensoryDelay, self.delay), (VisionDelay, self.vision_delay)):
             late = [one for one in changes if isinstance(one.untimed, kind) and one.untimed.seconds]
-            if late and not total:
+            if late and not total and self.draws is None:
                 name = late[0].family.name if late[0].family else "delay"
                 raise UserError(
                     f"{late[0].name} would delay nothing: delays are whole control steps of "
@@ -165,14 +292,7 @@ class ReachSetup:
                 )
 
     def _check_loads(self, changes: Sequence[Change]) -> None:
-        """Find the perturbations that change the arm within an episode; refuse what cannot be."""
-        plain = Perturbation.change_body
-        #: those that do
-        self.loads = [
-            one
-            for one in self.perturbations
-            if isinstance(one, Timed) and type(one.perturbation).change_body is not plain
-        ]
+        """Refuse what cannot change the arm within an episode."""
         step = self.unperturbed.control_step
         # Between these control steps loads and fields change evenly: they are largest at the ends.
         corners = {one.moments(step)[place] for one in self.loads for place in (0, 1, -1)}
@@ -181,7 +301,8 @@ class ReachSetup:
             accepted = "of which only force-field and hand-mass change the body within an episode"
             is_fine = same == ArmColumns.of(self.body)
             require(is_fine, "perturbations", [one.name for one in changes], accepted)
-            make_arm(self.engine, ArmParameters(**vars(body)))
+            self.others.append(ArmParameters(**vars(body)))
+            make_arm(self.engine, self.others[-1])
 
     def body_after(self, steps: Any) -> ArmColumns:
         """Return the arm after so many control steps, or n arms after (n,) of them."""
@@ -196,10 +317,13 @@ class ReachSetup:
         changed = [one.share(steps, step) != one.share(steps - 1, step) for one in self.loads]
         return np.any(changed, axis=0)
 
-    def disturbance(self, steps: Any) -> Disturbance:
-        """Return what disturbs the senses after so many control steps: a number, or (n,)."""
+    def disturbance(self, steps: Any, of: Sequence[Perturbation] | None = None) -> Disturbance:
+        """Return what disturbs the senses after so many control steps: a number, or (n,).
+
+        It follows from the perturbations `of` n arms, or else from those of the setup.
+        """
         control_step = self.unperturbed.control_step
-        parts = timed_parts(self._parts, steps, control_step)
+        parts = timed_parts(self.parts if of is None else of, steps, control_step)
 
         def delay(kind: type[Delay]) -> Any:
             seconds = sum(one.seconds for one in parts if isinstance(one, kind))
@@ -233,7 +357,18 @@ class ReachSetup:
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         #: control steps after which joints lock, or None
-        self.lock_step = round(times.pop() / self.unperturbed.control_step) if times else None
+        step = self.unperturbed.control_step
+        self.lock_step = int(_lock_steps(times.pop(), step)) if times else None
+
+    @property
+    def ring(self) -> tuple[Any, Any]:
+        """Smallest and largest distance of targets from the base."""
+        return self.workspace.inner, self.workspace.outer
+
+    @property
+    def lock_steps(self) -> int:
+        """Control steps after which joints lock, or -1."""
+        return -1 if self.lock_step is None else self.lock_step
 
     def _find_workspace(self) -> None:
         """Find where hand and target can be, all the time."""
@@ -326,15 +461,16 @@ class ReachSetup:
         respected.
         """
         options = {} if options is None else options
-        accepted = "a mapping with 'joint_angles', 'target' or 'trial'"
+        accepted = "a mapping with 'joint_angles', 'target', 'trial' or 'context'"
         require(isinstance(options, Mapping), "options", options, accepted)
         for name in options:
             require_choice("options", name, Options._fields)
-        posture, target, trial = map(options.get, Options._fields)
+        posture, target, trial, context = map(options.get, Options._fields)
         checked = Options(
             None if posture is None else self._check_posture(posture),
             None if target is None else self.check_target("options['target']", target),
             None if trial is None else self._check_trial(trial),
+            None if context is None else self._check_context(context),
         )
         if self.workspace.locked and posture is not None:
             try:
@@ -342,6 +478,26 @@ class ReachSetup:
             except NoTarget as error:
                 name, accepted = "options['joint_angles']", "a posture with a target in reach"
                 raise UserError(f"{name} must be {accepted}, got {checked.joint_angles}") from error
+        return checked
+
+    def _check_context(self, context: Any) -> dict[str, NDArray[np.float64]]:
+        """Return drawn numbers by name; raise a `UserError` if one is unknown or impossible."""
+        names = [one.name for one in self.draws.strengths] if self.draws else []
+        name = "options['context']"
+        require(isinstance(context, Mapping), name, context, "a mapping of numbers by name")
+        checked = {}
+        for key, value in context.items():
+            if str(key).startswith("_"):  # the masks of Gymnasium's vector infos
+                continue
+            require_choice(name, key, names)
+            array = require_array(f"{name}[{key!r}]", value).astype(np.float64)
+            require(not np.isinf(array).any(), f"{name}[{key!r}]", value, "finite")
+            checked[key] = array
+        if self.draws and not any(one.ndim for one in checked.values()):
+            try:
+                self.episode(self.draws.set(self.draws.samples()[:1], checked)[0])
+            except UserError as error:
+                raise UserError(f"{name} must be possible, got {context}: {error}") from error
         return checked
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
@@ -370,6 +526,11 @@ class ReachSetup:
             accepted = f"left out, as {self.task} has no numbered trials"
         require(is_whole(trial) and 0 <= trial < count, "options['trial']", trial, accepted)
         return int(trial)
+
+
+def _lock_steps(time: Any, control_step: float) -> Any:
+    """Return the control steps after which a joint locks at a time, or at several."""
+    return np.rint(np.divide(time, control_step)).astype(int)
 
 
 def _changes(perturbations: Any) -> list[Change]:
@@ -405,13 +566,20 @@ class GoalSetup(ReachSetup):
             )
         self.layout = replace(self.layout, is_clipped=False, has_goals=True)
         # Rounding may put a goal beyond the reach, by as much as is accepted of a target.
-        self.observation_space = self.layout.goal_space(self.farthest * (1 + REACH_TOLERANCE))
+        farthest = self.farthest * (1 + REACH_TOLERANCE)
+        self.plain_space = self.layout.goal_space(farthest)
+        self.observation_space = self.layout.goal_space(farthest, self.shown_count)
 
 
 class ReachEnvironment:
     """The common part of the single and the vector environment."""
 
     setup: ReachSetup
+    _arguments: Any
+    _kind: type[ReachSetup]
+    _of_all: ReachSetup  # of all episodes from the next on; `setup` is that of this one
+    _draws: Draws | None  # as of the episode
+    _numbers: NDArray[np.float64]  # that were drawn for it
     _spec: EnvSpec | None = None
 
     parameters = property(attrgetter("setup.given_body"), doc="The arm that agents are given.")
@@ -423,6 +591,22 @@ class ReachEnvironment:
         attrgetter("setup.success_distance"),
         doc="Largest distance to a reached target, segment lengths.",
     )
+
+    def _with_perturbations(self, perturbations: Any) -> tuple[Any, ReachSetup]:
+        """Return arguments and setup with other perturbations; the spaces must be the same."""
+        arguments = replace(self._arguments, perturbations=perturbations)
+        setup = self._kind(arguments)
+        same = setup.observation_space == self._of_all.observation_space
+        accepted = "others that leave the observation space as it is"
+        require(
+            same and setup.action == self._of_all.action, "perturbations", perturbations, accepted
+        )
+        return arguments, setup
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """What was drawn for the episode, by name: numbers, or arrays (n,) of n arms."""
+        return self._draws.context(self._numbers) if self._draws else {}
 
     @property
     def spec(self) -> EnvSpec | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
@@ -22,20 +23,22 @@ from mmc_gym._errors import (
     require,
     require_array,
 )
-from mmc_gym.body import make_arms
+from mmc_gym.body import ArmParameters, make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
+from mmc_gym.envs.drawn import of_many, of_some, write
 from mmc_gym.envs.feedback import HandSight
-from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
+from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info, with_context
 from mmc_gym.envs.spec import (
     Disturbance,
+    Episodes,
     GoalSetup,
     Options,
     ReachEnvironment,
     ReachSetup,
     State,
 )
-from mmc_gym.envs.workspace import distances
+from mmc_gym.envs.workspace import distances, pairs_from, uniform_numbers
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
@@ -73,10 +76,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     @takes(VectorArguments)
     def __init__(self, arguments: VectorArguments) -> None:
         """Make the environment; the class docstrings explain the arguments."""
-        self._make(ReachSetup(arguments), arguments)
+        self._make(ReachSetup, arguments)
 
-    def _make(self, setup: ReachSetup, arguments: VectorArguments) -> None:
-        self.setup = setup
+    def _make(self, kind: type[ReachSetup], arguments: VectorArguments) -> None:
+        self._arguments, self._kind = arguments, kind
+        self.setup = self._of_all = setup = kind(arguments)
         steps = arguments.max_episode_steps
         self.max_episode_steps = setup.task.episode_steps if steps == "task" else steps
         self.num_envs = num_envs = arguments.num_envs
@@ -86,14 +90,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.single_observation_space = space = setup.observation_space
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
-        self._body = make_arms(
-            setup.engine,
-            setup.body,
-            num_envs,
-            setup.action.servo,
-            arguments.threads,
-            differ=bool(setup.loads),
-        )
+        body, servo, others = setup.body, setup.action.servo, setup.others
+        self._body = make_arms(setup.engine, body, num_envs, servo, arguments.threads, others)
+        self._draws = setup.draws
+        self._numbers = np.zeros((num_envs, len(setup.draws.strengths) if setup.draws else 0))
+        self._parts = [of_many(one, num_envs) for one in setup.parts] if setup.draws else []
+        self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
@@ -103,7 +105,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         # Observations on their way, oldest first: that one is shown.
-        self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
+        plain = setup.plain_space
+        self._late = [create_empty_array(plain, num_envs) for _ in range(setup.delay + 1)]
         # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
         self._sights = np.zeros((setup.vision_delay + 1, num_envs, 2, 2))
         self._hand_sight = HandSight(num_envs, setup.unperturbed.control_step)
@@ -179,8 +182,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             if self.setup.vision_delay:
                 self._sights = np.concatenate([self._sights[1:], self._sight(_EVERY)[None]])
             observation, rewards, info = self._look()
-        if self.setup.lock_step:
-            self._body.lock(np.flatnonzero(self._steps == self.setup.lock_step))
+        if self.setup.steps_lock:
+            self._body.lock(np.flatnonzero((self._steps == self._lock_steps) & (self._steps > 0)))
         self._late = [*self._late[1:], observation]
         if len(waiting):
             self._show_start(waiting, pick(observation, waiting))
@@ -193,6 +196,40 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         elif truncations.any():
             infos = self._restart(infos, truncations)
         return self._shown(), rewards, terminations, truncations, infos
+
+    @property
+    def perturbations(self) -> Any:
+        """The perturbations, as they were given.
+
+        Others, which must differ in distributions alone, are those of each arm's next episode.
+        """
+        return self._arguments.perturbations
+
+    @perturbations.setter
+    def perturbations(self, perturbations: Any) -> None:
+        arguments, setup = self._with_perturbations(perturbations)
+        kinds = [
+            (
+                [one.name for one in each.draws.strengths] if each.draws else [],
+                [type(one) for one in each.parts],
+                each.arms_differ,
+            )
+            for each in (setup, self.setup)
+        ]
+        accepted = "the same perturbations with other distributions"
+        require(
+            kinds[0] == kinds[1] and bool(kinds[0][0]), "perturbations", perturbations, accepted
+        )
+        self._arguments, self.setup, self._of_all, self._draws = (
+            arguments,
+            setup,
+            setup,
+            setup.draws,
+        )
+        for _ in range(setup.delay + 1 - len(self._late)):
+            self._late.insert(0, deepcopy(self._late[0]))
+        more = setup.vision_delay + 1 - len(self._sights)
+        self._sights = np.concatenate([self._sights[:1]] * max(more, 0) + [self._sights])
 
     @property
     def arms(self) -> ArmBatch:
@@ -221,21 +258,39 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 self._randoms[arm] = seeding.np_random(seed)[0]
 
     def _place(self, arms: Indices, options: Options) -> None:
-        """Draw trials for these arms and place them."""
-        randoms = [self._randoms[arm] for arm in arms.tolist()]
-        if self.setup.draws_pairs and options == Options():
-            postures, targets = self.setup.workspace.draw_pairs(randoms)
-            self._paths[arms, 0], self._last_places[arms] = targets, 0
+        """Draw what is drawn and trials for these arms, and place them."""
+        setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
+        setups, ring, cursor = [setup], setup.ring, setup.cursor
+        body: ArmParameters | list[ArmParameters] | None = None
+        at_once = setup.draws_pairs and not options.has_trial
+        if setup.draws is not None:
+            context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
+            uniform = uniform_numbers(randoms, len(setup.draws.strengths))
+            numbers = setup.draws.set(setup.draws.numbers(uniform), context)
+            self._numbers[arms] = numbers
+            if at_once:
+                drawn = setup.episodes(numbers)
+                body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
+                self._begin(arms, drawn)
+            else:
+                setups = [setup.episode(row) for row in numbers]
+                body = [one.body for one in setups] if setup.arms_differ else None
+                for row, one in enumerate(setups):
+                    self._begin(arms[[row]], one)
+        if at_once:
+            uniform = uniform_numbers(randoms, setup.joint_count + 2)
+            postures, self._paths[arms, 0] = pairs_from(uniform, ring, cursor)
+            self._last_places[arms] = 0
         else:
-            trials = [self.setup.draw_trial(random, options) for random in randoms]
+            pairs = zip(cycle(setups), randoms)
+            trials = [one.draw_trial(random, options) for one, random in pairs]
             postures = np.array([trial.joint_angles for trial in trials])
             for arm, trial in zip(arms, trials, strict=True):
                 self._paths[arm, : len(trial.targets)] = trial.targets
                 self._last_places[arm] = len(trial.targets) - 1
-        self._body.reset(postures, arms)
+        self._body.reset(postures, arms, parameters=body)
         self._load(arms, np.zeros_like(arms))
-        if self.setup.lock_step == 0:
-            self._body.lock(arms)
+        self._body.lock(arms[self._lock_steps[arms] == 0])
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
@@ -243,6 +298,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._body.confine(arms, self._body.end_effectors[arms], self._targets[arms])
         if self.setup.vision_delay:
             self._sights[:, arms] = self._sight(arms)
+
+    def _begin(self, arms: Indices, drawn: Episodes | ReachSetup) -> None:
+        """Keep what steps need of what these arms have drawn."""
+        self._lock_steps[arms] = drawn.lock_steps
+        for many, new in zip(self._parts, drawn.parts, strict=True):
+            write(many, arms, new)
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
@@ -273,17 +334,17 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _restart(self, infos: Info, over: Bools) -> Info:
         """Restart the arms whose episodes are over; add how they ended to the infos (SAME_STEP)."""
-        arms, shown = np.flatnonzero(over), self._arrived()
+        arms, shown = np.flatnonzero(over), self._with_context(self._arrived())
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in arms:
             final_observations[arm] = deepcopy(pick(shown, arm))
         names = [name for name in infos if not name.startswith("_")]
-        final = spread({name: infos[name][arms] for name in names}, over)
+        final = spread({name: of_arms(infos[name], arms) for name in names}, over)
         self._place(arms, Options())
         observation, _, info = self._look_at(arms)
         self._show_start(arms, observation)
         for name, values in info.items():
-            infos[name][arms] = values
+            put(infos[name], arms, values)
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
@@ -335,6 +396,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
         """Return what these arms observe, noise and late sight included; complete `info`."""
+        if self._draws is not None:
+            info["context"] = self._draws.context(self._numbers[arms])
         if self.setup.cursor is not None:
             info["cursor"] = hands
         if self.setup.channel is not None:
@@ -374,7 +437,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _shown(self) -> Any:
         """Return what `step` shows."""
         arrived = self._arrived()
-        return deepcopy(arrived) if self._copy else arrived
+        return self._with_context(deepcopy(arrived) if self._copy else arrived)
+
+    def _with_context(self, observation: Any) -> Any:
+        """Return the observations of all arms with what was drawn, if that is shown."""
+        if self._draws is None or not self.setup.shows_context:
+            return observation
+        return with_context(observation, self._draws, self._numbers)
 
     def _arrived(self) -> Any:
         """Return what arms see now: the last observation, or one of some control steps ago."""
@@ -398,8 +467,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _now(self, arms: Indices | slice) -> Disturbance:
         """Return what disturbs the senses of these arms."""
-        is_timed, setup = self.setup.is_timed, self.setup
-        return setup.disturbance(self._steps[arms]) if is_timed else setup.full
+        setup, parts = self.setup, self._parts
+        if not parts:
+            return setup.disturbance(self._steps[arms]) if setup.is_timed else setup.full
+        if arms is not _EVERY:
+            parts = [of_some(one, arms) for one in parts]
+        return setup.disturbance(self._steps[arms], parts)
 
     def _sight(self, arms: Indices | slice) -> Floats:
         """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""
@@ -435,7 +508,7 @@ class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
     @takes(VectorGoalArguments)
     def __init__(self, arguments: VectorGoalArguments) -> None:
         """Make the environment; the class docstrings explain the arguments."""
-        self._make(GoalSetup(arguments), arguments)
+        self._make(GoalSetup, arguments)
 
 
 def pick(observation: Any, arms: Any) -> Any:
@@ -448,10 +521,17 @@ def pick(observation: Any, arms: Any) -> Any:
 def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
     """Write the rows of `arms` into an observation, an array or a dict of arrays."""
     if isinstance(observation, dict):
-        for key, values in observation.items():
-            values[arms] = rows[key]
+        for key in rows:
+            observation[key][arms] = rows[key]
     else:
         observation[arms] = rows
+
+
+def of_arms(values: Any, arms: Indices) -> Any:
+    """Return what an info, or an option for all arms alike, has for these arms."""
+    if isinstance(values, dict):
+        return {name: one[arms] for name, one in values.items() if not name.startswith("_")}
+    return values[arms] if values.ndim else values
 
 
 def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
@@ -460,7 +540,9 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
     everywhere = mask.all()
     masks = np.repeat(mask[None], len(info), axis=0)  # no two infos are one array
     for (name, values), own in zip(info.items(), masks, strict=True):
-        if everywhere:
+        if isinstance(values, dict):
+            infos[name] = spread(values, mask)
+        elif everywhere:
             infos[name] = values
         else:
             infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import pairwise
+from operator import add
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
 from mmc_gym.geometry import Floats, node_positions, reachable_radii, segments_from_joint_angles
@@ -162,17 +164,8 @@ class Workspace:
 
         They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
         """
-        count = len(self.body.segment_lengths)
-        draws = np.empty((len(randoms), count + 2))
-        for random, row in zip(randoms, draws, strict=True):
-            random.random(out=row)
-        postures = -math.pi + math.tau * draws[:, :count]
-        inner_square = self.inner**2
-        radii = np.sqrt(inner_square + (self.outer**2 - inner_square) * draws[:, count])
-        angles = (-math.pi + math.tau * draws[:, count + 1]).tolist()
-        # Not numpy's cosine, which may differ in the last bit.
-        x, y = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
-        return postures, np.stack(self._target_of(x, y), axis=-1)
+        uniform = uniform_numbers(randoms, len(self.body.segment_lengths) + 2)
+        return pairs_from(uniform, (self.inner, self.outer), self.cursor)
 
     def _target_of(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the target that a hand at (x, y) reaches: where it is, or where its cursor is."""
@@ -247,6 +240,40 @@ class Workspace:
         return self.inner - slack <= math.hypot(*point) <= self.outer + slack
 
 
+def uniform_numbers(randoms: Sequence[np.random.Generator], count: int) -> NDArray[np.float64]:
+    """Return `count` numbers, uniform in [0, 1), from each of k generators, (k, count)."""
+    numbers = np.empty((len(randoms), count))
+    for random, row in zip(randoms, numbers, strict=True):
+        random.random(out=row)
+    return numbers
+
+
+def pairs_from(
+    uniform: Floats, ring: tuple[Any, Any], cursor: ShownHand | None
+) -> tuple[Floats, Floats]:
+    """Return postures, (k, N), and targets, (k, 2), of uniform numbers, (k, N + 2).
+
+    Targets are between the two radii of a ring, numbers or (k,), or where the cursor of a hand
+    there is.
+    """
+    count, (inner, outer) = uniform.shape[1] - 2, ring
+    postures = -math.pi + math.tau * uniform[:, :count]
+    inner_square = inner * inner
+    radii = np.sqrt(inner_square + (outer * outer - inner_square) * uniform[:, count])
+    angles = (-math.pi + math.tau * uniform[:, count + 1]).tolist()
+    # Not numpy's cosine, which may differ in the last bit.
+    x, y = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
+    targets = (x, y) if cursor is None else cursor.cursor(x, y, (x, y))
+    return postures, np.stack(targets, axis=-1)
+
+
+def rings(lengths: Sequence[Any], given: Sequence[float]) -> tuple[Any, Any]:
+    """Return `shared_ring` of arms with other lengths, each a number or (k,), and the given arm."""
+    reach, longest = reduce(add, lengths), reduce(np.maximum, lengths)
+    inner, outer = reachable_radii(given)
+    return np.maximum(np.maximum(0.0, 2 * longest - reach), inner), np.minimum(reach, outer)
+
+
 def shared_ring(*arms: ArmParameters) -> tuple[float, float]:
     """Return the smallest and the largest distance from the base that all these arms reach."""
     rings = [reachable_radii(arm.segment_lengths) for arm in arms]
@@ -306,7 +333,7 @@ def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
 
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
     """Draw a point area-uniformly between two distances from the base."""
-    radius = math.sqrt(random.uniform(inner**2, outer**2))
+    radius = math.sqrt(random.uniform(inner * inner, outer * outer))
     angle = random.uniform(-math.pi, math.pi)
     return radius * math.cos(angle), radius * math.sin(angle)
 

@@ -178,7 +178,8 @@ CURL = np.array([[[0.0], [1.0]], [[-1.0], [0.0]]])
 def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, servo):
     """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
     random, count = np.random.default_rng(5), 37
-    arms = make_arms(engine, ArmParameters(**made), count, servo, differ=True)
+    others = [ArmParameters(**made, **other) for other in ({}, {"gravity": (0.0, 30.0)})]
+    arms = make_arms(engine, ArmParameters(**made), count, servo, others=others)
     singles = {arm: make_arm(engine, ArmParameters(**made), servo) for arm in range(count)}
     for step in range(30):
         if step % 6 == 0:
@@ -223,5 +224,5 @@ def tuples(values):
 
 
 def test_arms_differ_only_if_they_may():
-    with pytest.raises(UserError, match="parameters must be left out for arms that do not differ"):
+    with pytest.raises(UserError, match="parameters must be left out for arms without others"):
         make_arms("pymunk").reset([[0.0] * 3], parameters=ArmParameters(hand_mass=1.0))

@@ -25,7 +25,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
-from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm
+from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters, SingleArm
 from mmc_gym.body.parameters import ArmParameters, Servo, stacked
 
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
@@ -164,11 +164,9 @@ class AnalyticArmBatch(ArmBatch):
         self._show(self.shown)  # copying or unpickling turns views into separate arrays
 
     @override
-    def _place(
-        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
-    ) -> None:
-        if parameters is not None:
-            self._load(parameters, arms)
+    def _place(self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters) -> None:
+        for some, parameters in new:
+            self._load(parameters, some)
         kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override
@@ -232,7 +230,7 @@ class AnalyticArm(SingleArm):
 
     @override
     def _build(self) -> None:
-        self._arms = AnalyticArmBatch(self.parameters, 1, self._servo, differ=True)
+        self._arms = AnalyticArmBatch(self.parameters, 1, self._servo, others=[self.parameters])
 
     @override
     def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import repeat
 from typing import Any, NoReturn
 
@@ -23,7 +24,7 @@ from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
-from mmc_gym.body.base import ArmBatch, Floats, Indices
+from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters
 from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
 from mmc_gym.body.pymunk.linkage import (
     FULL,
@@ -34,6 +35,7 @@ from mmc_gym.body.pymunk.linkage import (
     change_space,
     forget_impulses,
     make_space,
+    solver_iterations,
 )
 
 ARMS_PER_GROUP = 128  # larger groups need fewer calls, but fit the cache less well
@@ -44,14 +46,16 @@ class ArmGroup:
     """A group of `count` arms, from index `first` on, that are stepped and read together.
 
     They share a Space.  Arms with obstacles have a Space each, because they would collide, and so
-    have arms that may differ, because gravity and the number of sweeps belong to a Space.
+    have arms that may differ in gravity or the number of sweeps, which belong to a Space.
     """
 
     def __init__(
-        self, parameters: ArmParameters, servo: Servo, first: int, count: int, differ: bool
+        self, parameters: ArmParameters, servo: Servo, arms: slice, others: Sequence[ArmParameters]
     ) -> None:
-        self.arms = slice(first, first + count)
-        self._servo, self._is_apart = servo, differ or bool(parameters.obstacles)
+        self.arms, count = arms, arms.stop - arms.start
+        spaces_of = {(p.gravity, solver_iterations(p)) for p in (parameters, *others)}
+        self._servo, self._may_differ = servo, bool(others)
+        self._is_apart = len(spaces_of) > 1 or any(p.obstacles for p in (parameters, *others))
         self._shape = count, len(parameters.segment_lengths)
         spaces, arms_per_space = (count, 1) if self._is_apart else (1, count)
         self._segments_per_space = arms_per_space * self._shape[1]
@@ -82,7 +86,7 @@ class ArmGroup:
         self._field: HandField | None = None
         if any(p.force_field is not None for p in every):
             own = [linkage.field for linkage in self.linkages]
-            self._field = HandField.of(own) if self._is_apart else own[0]
+            self._field = HandField.of(own) if self._may_differ else own[0]
 
     def drive(self, settings: Floats, torques: Floats) -> None:
         """Set the servos: their phases or rates, and their largest torques, (count, N)."""
@@ -186,14 +190,17 @@ class ArmGroup:
         for member, p in zip(members, of_members):
             linkage, space = self.linkages[member], self._spaces[member * self._is_apart]
             # Chipmunk remembers contacts, and cannot forget them.
-            if linkage.parameters.obstacles or p.obstacles or not linkage.can_become(p):
+            if self._is_apart and (
+                linkage.parameters.obstacles or p.obstacles or not linkage.can_become(p)
+            ):
                 self._spaces[member] = space = make_space(p)
                 self.linkages[member] = Linkage(space, p, self._servo, has_ground=True)
                 continue
             kept.append((linkage, space))
             if parameters is not None:
                 linkage.change(p)
-                change_space(space, p)
+                if self._is_apart:
+                    change_space(space, p)
         if parameters is not None or len(kept) < len(members):
             self._collect()
         self._forget_impulses(kept, scratch)
@@ -206,7 +213,7 @@ class ArmGroup:
     def load(self, members: Sequence[int], parameters: Sequence[ArmParameters]) -> None:
         """Load some arms, see `SingleArm.load`."""
         for member, p in zip(members, parameters, strict=True):
-            self.linkages[member].load(self._spaces[member], p)
+            self.linkages[member].load(self._spaces[member * self._is_apart], p)
         self._collect()
 
     def _forget_impulses(
@@ -251,9 +258,14 @@ class PymunkArmBatch(ArmBatch):
         self.end_effectors = np.zeros((self._count, 2))
         fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
         self._arms_per_group = most = min(ARMS_PER_GROUP, fair)
+        every = self.parameters, *self._others
+        locks = {joint for one in every for joint in one.lockable_joints}
         self._groups = [
             ArmGroup(
-                self.parameters, self._servo, first, min(most, self._count - first), self._differ
+                replace(self.parameters, lockable_joints=tuple(sorted(locks))),
+                self._servo,
+                slice(first, min(first + most, self._count)),
+                self._others,
             )
             for first in range(0, self._count, most)
         ]
@@ -328,17 +340,15 @@ class PymunkArmBatch(ArmBatch):
         self.end_effectors[arms] = hands
 
     @override
-    def _place(
-        self, arms: Indices, postures: Floats, speeds: Floats, parameters: ArmParameters | None
-    ) -> None:
+    def _place(self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters) -> None:
         rows: list[ArmColumns] = []
-        if parameters is not None:
-            rows = ArmColumns.of(parameters).rows(len(arms))
-            self._note(arms, parameters)
+        for some, parameters in new:
+            rows += ArmColumns.of(parameters).rows(len(some))
+            self._note(some, parameters)
         for group, part, members in self._by_group(arms):
             angles, velocities = postures[part].tolist(), speeds[part].tolist()
-            new = [rows[row] for row in part] if rows else None
-            group.reset(members, angles, velocities, self._scratch, new)
+            own = [rows[row] for row in part] if rows else None
+            group.reset(members, angles, velocities, self._scratch, own)
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)

@@ -1,0 +1,259 @@
+"""Facts about perturbations that are drawn for each episode, single and vector."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from scipy import stats
+
+import mmc_gym
+from mmc_gym._errors import UserError
+from mmc_gym.envs.drawn import OneOf
+from mmc_gym.envs.names import parse_change
+from mmc_gym.envs.perturbations import (
+    HandMass,
+    JointNoise,
+    LockedJoint,
+    SegmentLength,
+    Timed,
+    VisionNoise,
+    VisuomotorRotation,
+)
+from mmc_gym.envs.scenarios import as_json, parse_scenario
+
+uniform, norm, randint = stats.uniform, stats.norm, stats.randint
+RANGES = [
+    "rotation--60..60",
+    "longer--30..35",
+    "shorter-0..30",
+    "hand-mass-0..3",
+    "gravity-0..60",
+    "force-field--20..20",
+    "delay-0..160",
+    "vision-delay-0..160",
+    "locked-1..3",
+    "locks-1..3",
+    "joint-noise-0..0.05",
+    "joint-noise-speed-0..0.02",
+    "vision-noise-0..0.05",
+    "vision-noise-distance-0..0.1",
+    "clamp--30..30",
+    "cursor-jump--20..20",
+    "gain-0.8..1.4",
+    "mirror-0..90",
+    "obstacles-1..3",
+    "rotation--60..60-at-0.1-over-0.1",
+]
+MIXTURES = [
+    ["longer--30..35", "hand-mass-0..3", "rotation--60..60", "delay-0..160", "joint-noise"],
+    ["gravity-0..60", "force-field--20..20", "locks-1..3", "vision-noise-0..0.05"],
+    [OneOf("rotation--60..60", VisuomotorRotation(30.0), None, weights=(1, 2, 3)), "shorter-20"],
+    [OneOf("locked-1..2", HandMass(uniform(0, 3)), None), VisuomotorRotation(norm(0, 20))],
+    [OneOf(JointNoise(uniform(0, 0.1)), VisionNoise(0.05), None), "vision-delay-0..80"],
+    [SegmentLength(uniform(0.7, 0.6), segment=0), LockedJoint(randint(0, 3), uniform(0.1, 0.2))],
+    [OneOf("no-feedback", "endpoint-feedback-at-0.1", None), "vision-delay-0..60"],
+    [Timed(VisuomotorRotation(uniform(-60, 120)), at=uniform(0, 0.2)), "clamp--30..30"],
+]
+
+
+def assert_same(one, other, path=""):
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one:
+            assert_same(one[key], other[key], f"{path}/{key}")
+    elif isinstance(one, np.ndarray) and one.dtype == object:
+        for each, both in zip(one, other, strict=True):
+            if each is not None or both is not None:
+                assert_same(each, both, path)
+    else:
+        np.testing.assert_array_equal(one, other, err_msg=path)
+
+
+def assert_a_vector_is_single_arms(perturbations, engine, mode="NextStep", env_id="MMCReach-v0"):
+    """Play two episodes of three arms and part of a third, bit for bit."""
+    mode = AutoresetMode(mode)
+    made = {"perturbations": perturbations, "engine": engine, "max_episode_steps": 7}
+    made |= {"num_envs": 3, "observe_context": True}
+    sync = gym.make_vec(
+        env_id, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **made
+    )
+    native = gym.make_vec(env_id, autoreset_mode=mode, **made)
+    random, over = np.random.default_rng(0), np.zeros(3, dtype=bool)
+    for step in range(18):
+        if step == 0 or (mode == AutoresetMode.DISABLED and over.any()):
+            chosen = {"seed": 3} if step == 0 else {"options": {"reset_mask": over}}
+            pairs = zip(sync.reset(**chosen), native.reset(**chosen), strict=True)
+        else:
+            actions = random.uniform(-1, 1, (3, 3)).astype(np.float32)
+            stepped = native.step(actions)
+            over = stepped[3]
+            pairs = zip(sync.step(actions), stepped, strict=True)
+        for one, other in pairs:
+            assert_same(one, other, str(step))
+    sync.close()
+
+
+@pytest.mark.parametrize("mixture", range(len(MIXTURES)))
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+def test_a_vector_of_drawn_arms_is_single_arms(mixture, engine):
+    mode = ("NextStep", "SameStep", "Disabled")[mixture % 3]
+    assert_a_vector_is_single_arms(MIXTURES[mixture], engine, mode)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize("name", RANGES)
+def test_a_vector_of_every_family_is_single_arms(name, engine):
+    if engine == "analytic" and name.startswith("obstacles"):
+        with pytest.raises(UserError, match="obstacles must be empty for the analytic engine"):
+            mmc_gym.make(name, engine=engine)
+        return
+    for mode, env_id in (("SameStep", "MMCReach-v0"), ("Disabled", "MMCReachCentreOut-v0")):
+        assert_a_vector_is_single_arms([name], engine, mode, env_id)
+
+
+def test_strengths_are_drawn_as_their_distributions():
+    weights = (1, 2, 3)
+    drawn = {
+        "rotation": uniform(-60, 120),
+        "hand-mass": uniform(0, 3),
+        "JointNoise.std": stats.beta(2, 5, scale=0.1),
+        "VisuomotorRotation.degrees": norm(5, 20),
+    }
+    whole = {"locks": np.ones(3), "choice": np.array(weights)}
+    objects = [
+        JointNoise(drawn["JointNoise.std"]),
+        VisuomotorRotation(drawn["VisuomotorRotation.degrees"]),
+        OneOf("delay-0..160", "delay-40", None, weights=weights),
+    ]
+    envs = mmc_gym.make_vec("rotation--60..60+hand-mass-0..3+locks-1..3", 1)
+    given = [*envs.unwrapped.perturbations, *objects]
+    envs = gym.make_vec("MMCReach-v0", num_envs=1500, engine="analytic", perturbations=given)
+    context = envs.reset(seed=0)[1]["context"]
+    for name, distribution in drawn.items():
+        assert stats.kstest(context[name], distribution.cdf).pvalue > 0.01, name
+    for name, shares in whole.items():
+        counts = np.unique(context[name], return_counts=True)[1]
+        assert stats.chisquare(counts, shares / shares.sum() * 1500).pvalue > 0.01, name
+    assert (np.isnan(context["delay"]) == (context["choice"] != 0)).all()
+    values = [tuple(one) for one in zip(*map(context.get, drawn), strict=True)]
+    assert len(set(values)) == 1500  # and independent of each other
+    table = np.corrcoef([context[name] for name in drawn])
+    assert np.abs(table - np.eye(4)).max() < 0.1
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+def test_a_context_given_as_an_option_repeats_an_episode(engine):
+    name = "longer--30..35+rotation--60..60+force-field--20..20+delay-0..100"
+    env = mmc_gym.make(name, engine=engine)
+    env.reset(seed=1)
+    _, info = env.reset()
+    context = env.unwrapped.context
+    assert info["context"] == context
+    posture, target = env.unwrapped.arm.joint_angles, info["target"]
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32)
+    first = [env.step(action) for action in actions]
+    env.reset(seed=5)
+    options = {"context": context, "joint_angles": posture, "target": target}
+    env.reset(options=options)
+    again = [env.step(action) for action in actions]
+    for one, other in zip(first, again, strict=True):
+        for each, both in zip(one, other, strict=True):
+            assert_same(each, both)
+    for wrong in ({"rotatoin": 3.0}, {"rotation": np.inf}, {"longer": -200.0}, 3):
+        with pytest.raises(UserError, match=r"options\['context'\]"):
+            env.reset(options={"context": wrong})
+
+
+def test_a_drawn_body_moves_as_a_fixed_one_of_its_strength():
+    fixed, drawn = (
+        mmc_gym.make(name) for name in ("longer-25+hand-mass-2", "longer-0..35+hand-mass-0..3")
+    )
+    start = {"joint_angles": [0.1, 0.5, -0.3], "target": (1.0, 1.0)}
+    fixed.reset(seed=0, options=start)
+    drawn.reset(seed=0, options={**start, "context": {"longer": 25, "hand-mass": 2}})
+    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32):
+        one, other = fixed.step(action), drawn.step(action)
+        assert_same(one[0], other[0])
+        assert_same(one[4], {k: v for k, v in other[4].items() if k != "context"})
+
+
+def test_the_context_is_observed_within_one():
+    env = mmc_gym.make("rotation--60..60+delay-0..160", observe_context=True)
+    check_env(env.unwrapped, skip_render_check=True)
+    observation, _ = env.reset(options={"context": {"rotation": -60, "delay": 120}})
+    assert observation[-2:].tolist() == [-1.0, 0.5]
+    goal = gym.make("MMCReachGoal-v0", perturbations="longer-0..20", observe_context=True)
+    observation, _ = goal.reset(options={"context": {"longer": 20}})
+    assert observation["observation"].shape == (10,)
+    assert observation in goal.observation_space
+
+
+def test_a_drawn_environment_is_copied():
+    env = mmc_gym.make("longer--30..35+joint-noise-0..0.05+rotation--60..60")
+    env.reset(seed=0)
+    env.step(np.full(3, 0.3, np.float32))
+    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    for _ in range(2):
+        results = [each.step(np.full(3, -0.2, np.float32)) for each in (env, *twins)]
+        for one in results[1:]:
+            assert_same(results[0][4], one[4])
+        results = [each.reset() for each in (env, *twins)]
+        assert_same(results[0][1], results[1][1])
+        assert_same(results[0][1], results[2][1])
+
+
+def test_distributions_may_change_between_episodes():
+    names = ["rotation--60..60", "delay-0..40"]
+    env = mmc_gym.make_vec("random", 2, perturbations=names)
+    sync = gym.make_vec("MMCReach-v0", num_envs=2, vectorization_mode="sync", perturbations=names)
+    wider = ["rotation-90..120", "delay-0..160"]
+    for each in (env, sync):
+        each.reset(seed=0)
+    sync.set_attr("perturbations", [wider, wider])
+    env.unwrapped.perturbations = wider
+    rotations = []
+    for step in range(203):
+        actions = np.full((2, 3), 0.1 * np.cos(step), np.float32)
+        one, other = sync.step(actions), env.step(actions)
+        assert_same(one[0], other[0], str(step))
+        assert_same(one[4]["context"], other[4]["context"], str(step))
+        rotations.append(np.abs(other[4]["context"]["rotation"]).max())
+    assert max(rotations) > 60
+    with pytest.raises(UserError, match="perturbations must be the same perturbations with other"):
+        env.unwrapped.perturbations = "gain-0.8..1.4"
+
+
+@pytest.mark.parametrize(
+    ("perturbations", "message"),
+    [
+        ("longer--150..20", "longer--150 has no such strength"),
+        ("rotation-60..-60", "the range of rotation must be from a low to a higher strength"),
+        ("locked-1..5", "joint must be an index from -3 to 2"),
+        ("longer-0..30-known", "longer-0..30 must be left out, as agents are given their arm once"),
+        (lambda: SegmentLength(uniform(-0.2, 1)), "factor must be positive and finite, got -0.2"),
+        ([SegmentLength(uniform(1, 1), known=True)], "known must be False for what is drawn"),
+        ("force-field-0..500", "perturbations must be possible whatever is drawn"),
+        (["longer-0..20", "force-field-10-at-0.5"], "without a drawn body"),
+    ],
+)
+def test_impossible_draws_are_refused_in_a_line(perturbations, message):
+    with pytest.raises(UserError, match=message) as caught:
+        given = perturbations() if callable(perturbations) else perturbations
+        gym.make("MMCReach-v0", perturbations=given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_range_is_a_name():
+    change = parse_change("rotation--60..60-at-1")
+    assert (change.name, change.is_drawn, change.strength) == ("rotation--60..60-at-1", True, None)
+    assert "-60..60°, drawn for each episode" in change.description
+    scenario = parse_scenario("random+longer--30..35+joint-noise-0..0.05")
+    assert scenario == parse_scenario(scenario.name)
+    assert scenario.settings != parse_scenario("longer--30..30+joint-noise-0..0.05").settings
+    plain = as_json({"one": VisuomotorRotation(uniform(-60, 120))})
+    assert plain["one"]["degrees"] == {"name": "uniform", "args": [-60, 120]}
