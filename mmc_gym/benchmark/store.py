@@ -33,7 +33,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
-SCHEMA_VERSION: Literal[3] = 3
+SCHEMA_VERSION: Literal[4] = 4
 MANIFEST = "manifest.json"
 EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
@@ -358,7 +358,7 @@ class NotPlayed(_Frozen):
 class Manifest(_Frozen):
     """Everything that a store was made with."""
 
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[4] = SCHEMA_VERSION
     episodes: int  #: in each environment whose trials are not numbered
     seed: int  #: of the starts and targets
     measures: dict[str, dict[str, Any]] = {}  #: by name, see `Quantity.facts`

@@ -153,7 +153,7 @@ def test_file_names_are_different_and_safe():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"schema_version": 1}, "schema_version must be 3, got 1"),
+        ({"schema_version": 1}, "schema_version must be 4, got 1"),
         ({"episodes": "many"}, "cannot be read: episodes must be a valid integer"),
         ({"agents": {"mmc": {}}}, "agents.mmc must be a valid array"),
         ({"episodes": 5}, "has been changed since the benchmark wrote it: remove it"),
