@@ -42,10 +42,10 @@ class KnownBody(BodyAgent):
             shift = complex(*rotation.cursor(0.0, 0.0))
             turn = complex(*rotation.cursor(1.0, 0.0)) - shift
         lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))
-        body = Body(lengths, np.full(arms, turn), np.full(arms, shift))
+        body = Body(lengths, np.full(arms, turn), np.full(arms, shift), np.zeros(arms, bool))
         delay = state.senses.delay._replace(late=np.full(arms, float(self.setup.delay)))
         return state._replace(
-            evidence=state.evidence._replace(body=body),
+            evidence=state.evidence._replace(body=body, best=body),
             senses=state.senses._replace(delay=delay),
         )
 

@@ -40,12 +40,13 @@ def complex_normals(random):
     return first + 1j * second
 
 
-def identified(lengths, angle, shift, looks, noise=0.0):
+def identified(lengths, angle, shift, looks, noise=0.0, mirrors=False):
     """The bodies that arms identify after some observations of their hand."""
     random, evidence = np.random.default_rng(1), BodyEvidence.start((1.0, 1.0, 1.0), ARMS)
     for joint_angles in postures(looks):
         felt = (np.array(lengths) * np.exp(1j * np.cumsum(joint_angles, axis=-1))).sum(axis=-1)
         seen = np.exp(1j * angle) * felt + shift + noise * complex_normals(random)
+        seen = seen.conj() if mirrors else seen
         evidence = evidence.add(joint_angles, seen)
     return evidence.best
 
@@ -70,9 +71,43 @@ def test_the_body_is_identified_from_hand_and_posture(body):
     assert is_right.mean() >= 0.9
 
 
+@pytest.mark.parametrize("shift", [0.0, 0.4 - 0.8j])
+def test_a_mirrored_cursor_is_identified(shift):
+    body = identified((1.0, 1.0, 1.0), 0.5, shift, 60, mirrors=True)
+    assert (body.is_mirrored & (np.abs(body.turn - np.exp(0.5j)) < 0.02)).mean() >= 0.9
+
+
+CURSORS = {
+    "jumps": lambda time: np.exp(1j * np.where(time < 30, 0.7, -0.7)),
+    "turns": lambda time: np.exp(0.01j * time),
+    "shrinks": lambda time: 1.0 - 0.003 * time,
+}
+
+
+@pytest.mark.parametrize("cursor", CURSORS)
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_cursor_that_changes_is_predicted_if_changes_are_followed(cursor, follows):
+    evidence = BodyEvidence.start((1.0, 1.0, 1.0), ARMS)
+    for time, joint_angles in enumerate(postures(62)):
+        units = np.exp(1j * np.cumsum(joint_angles, axis=-1))
+        hand = CURSORS[cursor](time) * units.sum(axis=-1)
+        miss = np.abs(evidence.after(1.0).seen(units) - hand)
+        evidence = evidence.add(joint_angles, hand, follows)
+    assert (np.median(miss) < 0.01) == follows
+
+
+@pytest.mark.parametrize("noise", [0.03, 0.1])
+def test_noise_is_no_change(noise):
+    random, evidence = np.random.default_rng(1), BodyEvidence.start((1.0, 1.0, 1.0), ARMS)
+    for joint_angles in postures(100):
+        hand = np.exp(0.5j + 1j * np.cumsum(joint_angles, axis=-1)).sum(axis=-1)
+        evidence = evidence.add(joint_angles, hand + noise * complex_normals(random))
+        assert not evidence.change.is_on.any()
+
+
 def test_noise_is_not_taken_for_another_body():
     body = identified((1.0, 1.0, 1.0), 0.0, 0.0, 50, noise=0.1)
-    assert (body.lengths == 1.0).all() and (body.turn == 1.0).all()
+    assert (body.lengths == 1.0).all() and (body.turn == 1.0).all() and not body.is_mirrored.any()
     assert (np.abs(body.shift) < 0.05).all()
 
 
@@ -305,6 +340,7 @@ def actions_of(parts, perturbations, control):
         ("filters", ("delay-200", "rotation-30"), 0.1),
         ("bridges_delay", ("rotation-30", "locks-2"), 0.0),
         ("identifies_body", ("delay-200", "locks-2"), 0.0),
+        ("follows_changes", ("delay-200", "rotation-30"), 0.0),
         ("finds_locks", ("delay-200", "rotation-30"), 0.0),
         ("avoids", ("rotation-30", "longer-20"), 0.0),
     ],

@@ -142,9 +142,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given)
         return state._replace(memory=memory)
 
-    def _body(self, state: BodyState) -> Body:
+    def _body(self, state: BodyState, steps: Floats | float = 0.0) -> Body:
         """Return the body to act on."""
-        best, given = state.evidence.best, state.evidence.given
+        best, given = state.evidence.after(steps), state.evidence.given
         return state.memory.body(best, given.lengths, self.parts) if self.learns else best
 
     def _observe(self, state: BodyState, seen: Seen) -> BodyState:
@@ -207,7 +207,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         hands, joint_angles = as_points(seen.hand), state.senses.of_hand
         if self.learns:
             hands = state.memory.as_given(hands, joint_angles)
-        return state._replace(evidence=state.evidence.add(joint_angles, hands))
+        # Within a movement, agents that learn follow no change: they act on what they believe.
+        follows, mirrors = self.parts.follows_changes and not self.learns, not self.learns
+        evidence = state.evidence.add(joint_angles, hands, follows, mirrors)
+        return state._replace(evidence=evidence)
 
     def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats]:
         """Return angles and speeds of the joints now; late or noisy angles are corrected."""
@@ -225,9 +228,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
-        body = self._body(state)
-        target = state.senses.target.predict(delay.late + delay.lag + LAG)
-        aim = within_reach(body.felt(target), body.lengths)
+        ahead = delay.late + delay.lag + LAG
+        body = self._body(state, ahead)
+        aim = within_reach(body.felt(state.senses.target.predict(ahead)), body.lengths)
         return ReachProblem(now, aim, body.lengths, held)
 
     def _plan_route(self, state: BodyState, problem: ReachProblem) -> Route:
@@ -244,7 +247,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         is_next_leg = route.ahead < state.route.ahead
         is_new = is_new | is_next_leg
         aim = np.where(is_new, problem.aim, route.aim)
-        goal_turn, is_moving = np.zeros_like(goal), state.senses.target.is_moving
+        goal_turn = np.zeros_like(goal)
+        is_moving = state.senses.target.is_moving | state.evidence.change.is_on
         if some(is_moving):
             follows = is_moving & ~is_new & (route.ahead == 0)
             turn = self.interface.turn(state.route.goal, route.goal)

@@ -1,4 +1,4 @@
-"""Body: segment lengths and a turned cursor, in closed form, and joints that are locked.
+"""Body: segment lengths and a turned or mirrored cursor, in closed form, and locked joints.
 
 **Lengths and cursor.**  With the unit vectors u_i of the segments, as complex numbers, the lengths
 ℓ and the way in which the hand x is seen are one linear model,
@@ -7,8 +7,8 @@
 
 Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
 that is turned about the base; one length; all lengths; all lengths and the angle; and each of these
-with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  Running sums over the
-observations,
+with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}); and all of them for the
+mirror image of x, where no other fits.  Running sums over the observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
 
@@ -29,12 +29,21 @@ Bayesian information criterion (Schwarz 1978) with a heavier penalty, because ne
 observations are nearly the same.  A turned cursor, or one other length, is mostly identified from
 the first observation.  The mean error that is left is added as an offset, unless it is noise.
 
+**Changes.**  Sums that remember a second cannot follow a change within a movement.  So a rival
+predicts the hand, too: the best hypothesis with a turn and a gain, m, so that it explains the last
+five hands, log m on a line in time.  While the rival's errors are clearly smaller, the body is
+taken to change: the rival is used, extrapolated to when a command acts, and the sums are forgotten
+fast (a variable forgetting factor; Fortescue, Kershenbaum & Ydstie 1981).  Noise is no change,
+because under noise a line through five hands predicts worse than the sums.
+
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
 load, an obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts
 before the arm is felt to move, because late senses show an arm at rest.
 
 Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist. 6, 461–464.
+T. R. Fortescue, L. S. Kershenbaum, B. E. Ydstie (1981), Implementation of self-tuning regulators
+with variable forgetting factors, Automatica 17, 831–835.
 """
 
 from __future__ import annotations
@@ -53,9 +62,19 @@ FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
-LEAST_RATIO, LARGEST_RATIO = 0.3, 2.0  # of accepted lengths and the given ones
+LEAST_RATIO, LARGEST_RATIO = 0.25, 3.5  # of accepted lengths and the given ones
 FREQUENT = 12  # observations after which hypotheses are compared in every fourth control step only
 OFFSET_RATE = 0.1  # rate at which the offset follows the errors
+MIRROR_PARAMETERS = 2  # as which a mirrored cursor counts
+CLEAR_ERROR = 0.05**2  # mean square error from which mirrored cursors are tried
+
+SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow
+BEGINS_AT, ENDS_AT = 0.25, 0.75  # ratios of these errors at which a change begins and ends
+FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
+LARGEST_TREND = 0.1  # largest trend of the cursor, radians (or share of its gain) in a control step
+NEAR = 0.05  # squared distance from the centre within which errors count as shifts
+# Slope and end of the least-squares line through five values, as their weights.
+SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
 LOCKED_AFTER_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
@@ -73,78 +92,191 @@ FELT_BY = 25  # observations after which joints count as locked though no moveme
 
 
 class Body(NamedTuple):
-    """A body and how its hand is seen: x = turn · Σ ℓ u + shift."""
+    """A body and how its hand is seen: x = turn · Σ ℓ u + shift, or the mirror image of it."""
 
     lengths: Floats  # ℓ
-    turn: Points  # e^{iφ}
+    turn: Points  # e^{iφ}; while the body changes, times a gain
     shift: Points  # c
+    is_mirrored: Bools  # about the first axis
 
     def seen(self, units: Points) -> Points:
         """Return where the hand is seen if these are the unit vectors of the segments, (n, N)."""
-        return self.turn * (self.lengths * units).sum(axis=-1) + self.shift
+        place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
+        return _mirrored(place, self.is_mirrored)
 
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is if it is seen here."""
-        return (seen - self.shift) * self.turn.conj()
+        return (_mirrored(seen, self.is_mirrored) - self.shift) / self.turn
+
+
+def _mirrored(points: Points, chosen: Bools) -> Points:
+    """Return points, of those `chosen` the mirror image about the first axis."""
+    return np.where(chosen, points.conj(), points) if some(chosen) else points
+
+
+class Looks(NamedTuple):
+    """The last observations z, see `BodyEvidence`, (n, N + 2) each."""
+
+    first: Points
+    second: Points
+    third: Points
+    fourth: Points
+    last: Points
+
+
+class Change(NamedTuple):
+    """The last observations, and how well their trend and the best hypothesis predict the next."""
+
+    looks: Looks
+    errors: Floats  # mean square errors of the hypothesis and of the trend, (n, 2)
+    is_on: Bools  # whether the body changes
+
+    def body(self, best: Body, given: Body, steps: Floats | float) -> Body:
+        """Return what the best hypothesis becomes by the trend, control steps after the last look.
+
+        With its factors m, which are a turn and a gain, it explains the last hands; log m lies on a
+        line in time.  Near the centre, where m is not known, the rest is a shift.
+        """
+        z = np.stack(self.looks, axis=1)
+        units, error = z[..., :-2], z[..., -2]
+        hands = error + (given.lengths[:, None] * units).sum(axis=-1)
+        seen = _mirrored(hands, best.is_mirrored[:, None]) - best.shift[:, None]
+        felt = best.turn[:, None] * (best.lengths[:, None] * units).sum(axis=-1)
+        factors = (seen * felt.conj() + NEAR) / (np.abs(felt) ** 2 + NEAR)
+        logs = np.log(factors / factors[:, -1:])
+        slope = (SLOPE * logs).sum(axis=-1)
+        slope = slope * np.minimum(1.0, LARGEST_TREND / np.maximum(np.abs(slope), 1e-9))
+        turn = factors[:, -1] * np.exp((LEVEL * logs).sum(axis=-1) + slope * steps)
+        rest = (LEVEL * (seen - factors * felt)).sum(axis=-1)
+        return best._replace(turn=best.turn * turn, shift=best.shift + rest)
+
+    def observe(self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools) -> Change:
+        """Return the memory after one more observation, from the evidence before it.
+
+        The trend is judged only where the hypothesis errs more than usual, or always likewise.
+        """
+        errors, is_on = np.zeros_like(self.errors), np.zeros_like(is_given)
+        if not every(is_given):
+            error = _square(hand - evidence.best.seen(z[:, :-2]))
+            mean = self.errors[:, 0] + SURPRISE_RATE * (error - self.errors[:, 0])
+            mean = np.where(is_given | (evidence.age == 0), 0.0, mean)
+            usual = evidence.scatter + EXACT
+            fails = (mean > 3 * usual) | (3 * _square(evidence.offset) > usual) | self.is_on
+            errs = np.flatnonzero(fails & ~is_given)
+            errors = np.stack([mean, mean], axis=-1)
+            if len(errs):
+                was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
+                error = _square(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
+                error = was.errors[:, 1] + SURPRISE_RATE * (error - was.errors[:, 1])
+                limit = np.where(was.is_on, ENDS_AT, BEGINS_AT)
+                errors[errs, 1] = error
+                is_on[errs] = error + EXACT < limit * (mean[errs] + EXACT)
+        return Change(Looks(*self.looks[1:], z), errors, is_on)
+
+
+def _of(state: Any, chosen: NDArray[np.intp]) -> Any:
+    """Return the parts of a state that belong to the chosen arms."""
+    if isinstance(state, tuple):
+        return type(state)(*(_of(field, chosen) for field in state))
+    return state[chosen]
+
+
+def _square(points: Points) -> Floats:
+    """Return |z|²."""
+    return points.real**2 + points.imag**2
 
 
 class BodyEvidence(NamedTuple):
     """Running sums over the observations, and the best hypothesis about the body.
 
     With e = x − ℓᵀu for the given lengths ℓ, the sums are Σ z̄ zᵀ of z = (u_1 … u_N, e, 1).  Their
-    first N rows and columns have the real part G.  Old observations are slowly forgotten.
+    first N rows and columns have the real part G.  Old observations are slowly forgotten, and fast
+    while the body changes.
     """
 
     age: Floats  # number of observations, (n,)
     sums: Points  # Σ z̄ zᵀ, (n, N + 2, N + 2)
+    mirrored: Points  # Σ u x, (n, N)
     given: Body  # the body as given
     body: Body  # the best hypothesis
     offset: Points  # mean error that it leaves
     scatter: Floats  # mean square of the errors about their mean, (n,)
+    best: Body  # the best hypothesis, with the part of the offset that is not noise
+    change: Change
 
     @classmethod
     def start(cls, lengths: tuple[float, ...], arms: int) -> BodyEvidence:
         """Return the evidence before any observation, for the given lengths."""
-        zero, origin = np.zeros(arms), np.zeros(arms, complex)
-        sums = np.zeros((arms, len(lengths) + 2, len(lengths) + 2), complex)
-        given = Body(np.tile(np.array(lengths), (arms, 1)), turn=origin + 1, shift=origin)
-        return cls(zero, sums, given=given, body=given, offset=origin, scatter=zero)
+        zero, origin, joints = np.zeros(arms), np.zeros(arms, complex), len(lengths)
+        z, mirrored = (np.zeros((arms, count), complex) for count in (joints + 2, joints))
+        sums = z[:, :, None] * z[:, None, :]
+        given = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
+        change = Change(Looks(z, z, z, z, z), np.zeros((arms, 2)), zero > 0)
+        return cls(zero, sums, mirrored, given, given, origin, zero, best=given, change=change)
 
-    def add(self, joint_angles: Floats, hand: Points) -> BodyEvidence:
-        """Return the evidence after the hand was seen in a posture."""
-        units, age = unit_vectors(joint_angles), self.age + 1
+    def add(
+        self, joint_angles: Floats, hand: Points, follows: bool = True, mirrors: bool = True
+    ) -> BodyEvidence:
+        """Return the evidence after the hand was seen in a posture.
+
+        Args:
+            joint_angles: the posture.
+            hand: where the hand was seen.
+            follows: whether changes are followed.
+            mirrors: whether the cursor may be mirrored.
+        """
+        units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given.lengths * units).sum(axis=-1)
         z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
-        sums = (1 - FORGET) * self.sums + z.conj()[:, :, None] * z[:, None, :]
-        body = self._identify(sums, age)
+        forget, rate = np.full(1, FORGET), np.maximum(OFFSET_RATE, 1 / age)
+        if some(changes):
+            forget = np.where(changes, FORGET_IN_CHANGE, FORGET)
+            rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
+        keep = 1 - forget[:, None]
+        mirrored = keep * self.mirrored + units * hand[:, None]
+        sums = keep[..., None] * self.sums + z.conj()[:, :, None] * z[:, None, :]
+        is_given = _is_given(sums)
+        change = self.change
+        if follows:
+            change = change.observe(self, z, hand, is_given)
+        body = self._identify(sums, mirrored if mirrors else None, is_given, age)
         if body is not self.given:
             error = hand - body.seen(units)
-        rate = np.maximum(OFFSET_RATE, 1 / age)
         offset = self.offset + rate * (error - self.offset)
-        scatter = self.scatter + rate * (np.abs(error - offset) ** 2 - self.scatter)
-        return BodyEvidence(age, sums, self.given, body, offset, scatter)
+        scatter = self.scatter + rate * (_square(error - offset) - self.scatter)
+        square = _square(offset)
+        part = offset * square / (square + scatter + EXACT)
+        best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
+        return BodyEvidence(age, sums, mirrored, self.given, body, offset, scatter, best, change)
 
-    @property
-    def best(self) -> Body:
-        """The best hypothesis, with the part of the offset that is not noise."""
-        square = np.abs(self.offset) ** 2
-        share = square / (square + self.scatter + EXACT)
-        return self.body._replace(shift=self.body.shift + share * self.offset)
+    def after(self, steps: Floats | float) -> Body:
+        """Return the body as it will be, control steps after the last observation."""
+        changes = self.change.is_on
+        if not some(changes):
+            return self.best
+        return where(changes, self.change.body(self.best, self.given, steps), self.best)
 
-    def _identify(self, sums: Points, age: Floats) -> Body:
+    def _identify(
+        self, sums: Points, mirrored: Points | None, is_given: Bools, age: Floats
+    ) -> Body:
         """Return the best hypothesis for each arm."""
-        # If even the whole error is worth less than one parameter, the body is as given.
-        count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
-        is_given = count * np.log1p(square / EXACT) < PENALTY + 2 * np.log1p(count)
         if every(is_given):
             return self.given
         body = where(is_given, self.given, self.body)
-        is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
+        is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
         if some(is_due):
-            body = Body(body.lengths.copy(), body.turn.copy(), body.shift.copy())
-            best = most_likely(sums[is_due], self.given.lengths[0])
-            body.lengths[is_due], body.turn[is_due], body.shift[is_due] = best
+            others = None if mirrored is None else mirrored[is_due]
+            best = most_likely(sums[is_due], others, self.given.lengths[0])
+            for field, found in zip(body, best, strict=True):
+                field[is_due] = found
         return body
+
+
+def _is_given(sums: Points) -> Bools:
+    """Return whether the body is as given: the whole error is worth less than one parameter."""
+    count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
+    given: Bools = count * np.log1p(square / EXACT) < _penalty(sums)
+    return given
 
 
 def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
@@ -157,23 +289,23 @@ def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
 
 
 def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDArray[Any]]:
-    """Return ℓ (H, n, N), e^{iφ} (H, n) and k (H,) of H hypotheses, the shift left out.
+    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses, the shift left out.
 
-    They are the best for G (n, N, N) and h (n, N), with the given lengths, (N,).
+    They are the best for G (…, N, N) and h (…, N), with the given lengths, (N,).
     """
     segments = len(given)
-    as_given: Floats = np.tile(given, (len(h), 1))
-    unturned: Points = np.ones(len(h), complex)
+    as_given: Floats = np.broadcast_to(given, h.shape)
+    unturned: Points = np.ones(h.shape[:-1], complex)
     turn = np.exp(1j * np.angle((h * given).sum(axis=-1)))
-    change = (h.real - (g * given).sum(axis=-1)) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
+    change = (h.real - (g * given).sum(axis=-1)) / (np.diagonal(g, axis1=-2, axis2=-1) + RIDGE)
     inverse = np.linalg.inv(g + RIDGE * np.eye(segments))
     double = (h * _product(inverse, h)).sum(axis=-1)
     half_turn: Points = np.exp(0.5j * np.angle(double))
     # Of two opposite turns, the one that leaves lengths positive.
-    is_opposite = ((half_turn.conj()[:, None] * h).real * given).sum(axis=-1) < 0
+    is_opposite = ((half_turn.conj()[..., None] * h).real * given).sum(axis=-1) < 0
     both_turn = half_turn * np.where(is_opposite, -1, 1)
     all_lengths = (
-        _product(inverse, (one.conj()[:, None] * h).real + RIDGE * given)
+        _product(inverse, (one.conj()[..., None] * h).real + RIDGE * given)
         for one in (unturned, both_turn)
     )
     one_length = (as_given + change * j for j in np.eye(segments))
@@ -182,37 +314,64 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
     return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
 
 
-def most_likely(sums: Points, given: Floats) -> Body:
-    """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given."""
+def most_likely(sums: Points, mirrored: Points | None, given: Floats) -> Body:
+    """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given.
+
+    With the sums `mirrored`, mirrored cursors are tried where all others leave clear errors.
+    """
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     sums = to_hand @ sums @ to_hand.T
-    count, unit_sum, hand_sum = sums[:, -1, -1].real, sums[:, -1, :-2], sums[:, -1, -2]
+    least, error, body = _fit(sums, given)
+    unclear = np.flatnonzero(error > CLEAR_ERROR)
+    if mirrored is not None and len(unclear):
+        sums = sums[unclear]  # of the mirror image of x, too
+        sums[:, :-2, -2] = mirrored[unclear].conj()
+        sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
+        least = least[unclear] - MIRROR_PARAMETERS * _penalty(sums)
+        other, _, found = _fit(sums, given)
+        is_better = other < least
+        for field, new in zip(body, found._replace(is_mirrored=is_better), strict=True):
+            field[unclear[is_better]] = new[is_better]
+    return body
+
+
+def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
+    """Return the least criterion for each arm, the mean square error and the hypothesis."""
+    count = sums[:, -1, -1].real
     about_means = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
 
-    bodies, criteria = [], []
-    for is_shifted, moments in enumerate((sums, about_means)):
-        g, h, s = moments[:, :-2, :-2].real, moments[:, :-2, -2], moments[:, -2, -2].real
-        lengths, turn, parameters = hypotheses(g, h, given)
-        body = Body(lengths, turn, np.zeros((), complex))
-        shift = is_shifted * (hand_sum - body.seen(unit_sum)) / count
-        bodies.append(body._replace(shift=shift))
-        error = np.maximum(_square_errors(body, g, h, s), 0.0)
-        criterion = count * np.log((error + EXACT) / (count + 1))
-        penalty = PENALTY + 2 * np.log1p(count)
-        criterion += (parameters + 2 * is_shifted)[:, None] * penalty
-        ratio = lengths / given
-        is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
-        criteria.append(np.where(is_absurd, np.inf, criterion))
-    best, arms = np.concatenate(criteria).argmin(axis=0), np.arange(len(sums))
-    return Body(*(np.concatenate(fields)[best, arms] for fields in zip(*bodies, strict=True)))
+    # Axes: hypotheses, without a shift and with one, arms, segments.
+    moments, is_shifted = np.stack([sums, about_means]), np.arange(2)[:, None]
+    g, h, s = moments[..., :-2, :-2].real, moments[..., :-2, -2], moments[..., -2, -2].real
+    lengths, turn, parameters = hypotheses(g, h, given)
+    shift = sums[:, -1, -2] - turn * (lengths * sums[:, -1, :-2]).sum(axis=-1)
+    shift = is_shifted * shift / count
+    error = np.maximum(_square_errors(lengths, turn, g, h, s), 0.0)
+    free = parameters[:, None, None] + 2 * is_shifted
+    criterion = count * np.log((error + EXACT) / (count + 1))
+    criterion += free * _penalty(sums)
+    ratio = lengths / given
+    is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
+    criterion = np.where(is_absurd, np.inf, criterion).reshape(-1, len(sums))
+    best = criterion.argmin(axis=0), np.arange(len(sums))
+    least, error, turn, shift = (
+        one.reshape(criterion.shape)[best] for one in (criterion, error, turn, shift)
+    )
+    lengths = lengths.reshape(*criterion.shape, -1)[best]
+    return least, error / count, Body(lengths, turn, shift, best[1] < 0)
 
 
-def _square_errors(body: Body, g: Floats, h: Points, s: Floats) -> Floats:
-    """Return S of hypotheses, (H, n), see above."""
-    back = (body.turn.conj()[..., None] * h).real
-    own: Floats = (_product(g, body.lengths) * body.lengths).sum(axis=-1)
-    return s - 2 * (back * body.lengths).sum(axis=-1) + own
+def _penalty(sums: Points) -> Floats:
+    """Return the penalty of a free parameter, for each arm."""
+    return PENALTY + 2 * np.log1p(sums[:, -1, -1].real)
+
+
+def _square_errors(lengths: Floats, turn: Points, g: Floats, h: Points, s: Floats) -> Floats:
+    """Return S of hypotheses, (H, …), see above."""
+    back = (turn.conj()[..., None] * h).real
+    own: Floats = (_product(g, lengths) * lengths).sum(axis=-1)
+    return s - 2 * (back * lengths).sum(axis=-1) + own
 
 
 class Locks(NamedTuple):

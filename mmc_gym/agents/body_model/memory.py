@@ -121,7 +121,7 @@ class Memory(NamedTuple):
         # What is identified turns about the place where the movement began, and may be shifted.
         begin = self.begin
         shift = rate * (beyond.shift - begin * (1 - beyond.turn)) + begin * (1 - part)
-        return Body(lengths, self.turn * part, self.turn * shift + self.shift)
+        return Body(lengths, self.turn * part, self.turn * shift + self.shift, beyond.is_mirrored)
 
     def record_drift(self, problem: ReachProblem, is_early: Bools) -> Memory:
         """Return the memory after a control step, which counts for δ if `is_early`, (n,)."""

@@ -20,6 +20,8 @@ class Parts:
     bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
     #: whether lengths and a turned cursor are identified; else the given ones are used
     identifies_body: bool = True
+    #: whether changes of lengths and cursor within a movement are followed, see `body_model.body`
+    follows_changes: bool = True
     finds_locks: bool = True  #: whether locked joints are identified
     imagines: bool = True  #: whether several models settle; else one, from the present posture
     drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
