@@ -37,12 +37,15 @@ class KnownBody(BodyAgent):
     @override
     def start(self, sensed: Sensed) -> BodyState:
         state, arms = super().start(sensed), len(sensed.joint_angles)
-        shift, turn = 0j, 1 + 0j
-        if (rotation := self.setup.cursor) is not None:
-            shift = complex(*rotation.cursor(0.0, 0.0))
-            turn = complex(*rotation.cursor(1.0, 0.0)) - shift
+        shift, turn, is_mirrored = 0j, 1 + 0j, False
+        if (shown := self.setup.cursor) is not None:
+            shift, x, y = (complex(*shown.cursor(*at, (0, 0))) for at in ((0, 0), (1, 0), (0, 1)))
+            turn = x - shift
+            is_mirrored = ((y - shift) / turn).imag < 0
+            if is_mirrored:
+                turn, shift = turn.conjugate(), shift.conjugate()
         lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))
-        body = Body(lengths, np.full(arms, turn), np.full(arms, shift), np.zeros(arms, bool))
+        body = Body(lengths, *(np.full(arms, one) for one in (turn, shift, is_mirrored)))
         delay = state.senses.delay._replace(late=np.full(arms, float(self.setup.delay)))
         return state._replace(
             evidence=state.evidence._replace(body=body, best=body),

@@ -50,6 +50,7 @@ PARTS = {
     "filters": "no filters",
     "bridges_delay": "no delay",
     "identifies_body": "no body",
+    "follows_changes": "no changes",
     "finds_locks": "no locks",
     "imagines": "no imagination",
     "drives": "no drive",
