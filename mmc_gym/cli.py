@@ -340,6 +340,7 @@ def report(
 def train(
     name: Annotated[Positional[str], _arg("NAME")] = "",
     env: Text = None,
+    on: Text = None,
     seed: Number = 0,
     steps: OtherNumber = None,
     out: OtherPlace = None,
@@ -353,6 +354,7 @@ def train(
     Args:
         name: A name that ships, such as ppo or tqc-her, or your own YAML file: my/ppo-mine.yml.
         env: One of the environment ids in the YAML file; the first, if not given.
+        on: Perturbations to train under, drawn for each episode from ranges: rotation--60..60.
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
         out: Folder for checkpoint and policy; runs/NAME-SEED, if not given.
@@ -361,6 +363,13 @@ def train(
         device: For PyTorch: cpu, cuda, cuda:1, auto.
     """
     shared = more.load()
+    if on is not None:
+        from mmc_gym.envs.names import parse_parts
+
+        entry, changes = parse_parts(on)
+        accepted = "perturbations; a task is named by --env"
+        require(bool(changes) and entry.name == "random", "on", on, accepted)
+        shared["env_kwargs"]["perturbations"] = [one.name for one in changes]
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
     from mmc_gym.training import training
 

@@ -65,6 +65,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
     ("arguments", "message"),
     [
         (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
+        (["train", "ppo", "--on", "pursuit"], "on must be perturbations; a task is named by --env"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["list", "agents", "--import", "../.."], "import must be the name of a module"),
         (["compare", "--episodes", "9" * 20], f"episodes must be at most 1000000, got {'9' * 20}"),
