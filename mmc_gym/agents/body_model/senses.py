@@ -120,7 +120,7 @@ class Senses(NamedTuple):
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         postures = self.postures
-        if not every(delay.is_seen) or some(delay.lag):  # else they are not needed
+        if delay.may_lag:
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
         return Senses(posture, target, delay, self.hand, postures)
@@ -135,10 +135,10 @@ class Senses(NamedTuple):
 
         A hand that has not been seen to move, although joints have, is where it was at first.
         """
-        lag, waits = self.delay.lag, self.delay.is_felt & ~self.delay.is_seen
-        if not some(lag) and not some(waits):
+        if not self.delay.may_lag:
             return self.posture.likely
-        steps = np.where(waits, LONGEST_DELAY, lag).astype(np.intp)
+        waits = self.delay.is_felt & ~self.delay.is_seen
+        steps = np.where(waits, LONGEST_DELAY, self.delay.lag).astype(np.intp)
         return self.postures[np.arange(len(steps)), LONGEST_DELAY - steps]
 
     def last_step(self, before: Senses, interface: ReachInterface) -> LastStep:
@@ -225,6 +225,8 @@ class PostureTrack(NamedTuple):
     @property
     def likely(self) -> Floats:
         """Joint angles as seen, where they are clear; else filtered."""
+        if not some(self.noise):
+            return self.seen
         return np.where(self.deviation < CLEAR, self.seen, self.joint_angles)
 
     @property
@@ -365,6 +367,11 @@ class Delay(NamedTuple):
         held = np.repeat(command[:, None], LONGEST_DELAY + 1, axis=1)
         zero = np.zeros(len(command))
         return cls(held, zero, zero, zero > 0, zero, zero > 0)
+
+    @property
+    def may_lag(self) -> bool:
+        """Whether the hand of any arm is seen late, or has not been seen to move."""
+        return some(self.late_sight) or not every(self.is_seen)
 
     @property
     def lag(self) -> Floats:
