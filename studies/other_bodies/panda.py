@@ -112,8 +112,8 @@ def make(name: str, env: Any, tqc: Path) -> Any:
     return make_agent(name, env, interface=INTERFACE)
 
 
-def play(agent: Any, env: Any, seeds: range) -> tuple[float, float]:
-    """Return success and mean return of an agent."""
+def play(agent: Any, env: Any, seeds: range) -> tuple[float, float, float]:
+    """Return success, mean return, and half of its 95 % interval, of an agent."""
     returns, successes = [], []
     for seed in seeds:
         observation, info = env.reset(seed=seed)
@@ -129,7 +129,8 @@ def play(agent: Any, env: Any, seeds: range) -> tuple[float, float]:
                 break
         returns.append(total)
         successes.append(info["is_success"])
-    return float(np.mean(successes)), float(np.mean(returns))
+    half = 1.96 * np.std(returns, ddof=1) / len(returns) ** 0.5
+    return float(np.mean(successes)), float(np.mean(returns)), float(half)
 
 
 def within_reach(body: dict[str, Any], env: Any, seeds: range) -> float:
@@ -158,10 +159,11 @@ def main(arguments: Arguments) -> None:
                 if any(row["body"] == body and row["agent"] == agent for row in rows):
                     continue
                 if agent == "within reach":
-                    found = within_reach(every[body], env, seeds), 0.0
+                    found = within_reach(every[body], env, seeds), 0.0, 0.0
                 else:
                     found = play(make(agent, env, arguments.tqc), env, seeds)
-                rows.append({"body": body, "agent": agent, "success": found[0], "return": found[1]})
+                names = ("success", "return", "half")
+                rows.append({"body": body, "agent": agent, **dict(zip(names, found))})
                 print(rows[-1], flush=True)
                 arguments.out.mkdir(parents=True, exist_ok=True)
                 pd.DataFrame(rows).to_csv(file, index=False, lineterminator="\n")
@@ -172,12 +174,14 @@ def main(arguments: Arguments) -> None:
         for body in every
         if (body, "within reach") in known
     ]
-    Console(width=150).print(table_of(cells, "success in per cent, return"))
+    Console(width=170).print(table_of(cells, "success in per cent, return"))
 
 
 def cell(row: Any) -> str:
-    """Return success in per cent and return."""
-    return "" if row is None else f"{100 * row['success']:.1f}, {row['return']:.2f}"
+    """Return success in per cent, and mean return with its 95 % interval."""
+    if row is None:
+        return ""
+    return f"{100 * row['success']:.1f}, {row['return']:.2f} ± {row['half']:.2f}"
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ torques that a search finds which knows the arm, the target and the cost (the ar
 from __future__ import annotations
 
 import re
+from collections import deque
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,7 @@ class Arguments:
     bodies: tuple[str, ...] = tuple(BODIES)  # the bodies
     episodes: int = 1000  # episodes of each agent with each body, those of `mmc-gym compare`
     seed: int = 0  # of the starts and targets
+    late: int = 0  # control steps of 20 ms by which all senses are late
     sac: Path = Path("runs/reacher-sac")  # folder with the models of SAC
     out: Path = Path("runs/reacher")  # folder for the results
 
@@ -154,6 +156,24 @@ class ClosedForm(JointTargetAgent[Floats]):
         nearest = ((changes**2).sum(axis=-1) + 1e3 * beyond).argmin(axis=-1)
         chosen = np.take_along_axis(allowed, nearest[..., None, None], axis=-2)[..., 0, :]
         return chosen, chosen
+
+
+class Late(gym.ObservationWrapper[Any, Any, Any]):
+    """What was seen some control steps ago; at first the start."""
+
+    def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
+        super().__init__(env)
+        self.seen: deque[Any] = deque(maxlen=steps + 1)
+
+    def reset(self, **arguments: Any) -> Any:
+        """Forget the episode before."""
+        self.seen.clear()
+        return super().reset(**arguments)
+
+    def observation(self, observation: Any) -> Any:
+        """Return what is seen."""
+        self.seen.append(observation)
+        return self.seen[0]
 
 
 class TwoConstants(ReacherInterface):
@@ -252,10 +272,11 @@ def main(arguments: Arguments) -> None:
     for body, true in BODIES.items():
         envs: list[Any] = []
         for name in AGENTS:
-            file = arguments.out / f"{name}-{body}-{arguments.seed}.csv".replace(" ", "-")
+            late = f"-late-{arguments.late}" if arguments.late else ""
+            file = arguments.out / f"{name}-{body}-{arguments.seed}{late}.csv".replace(" ", "-")
             asked = name in arguments.agents and body in arguments.bodies
             if asked and not file.exists() and (name != "optimum" or true == TrueBody()):
-                envs = envs or [true.make(arguments.out) for _ in seeds]
+                envs = envs or [Late(true.make(arguments.out), arguments.late) for _ in seeds]
                 played = play(make(name, envs[0], arguments.sac), envs, seeds)
                 played.to_csv(file, index=False, lineterminator="\n")
             if file.exists():
