@@ -171,7 +171,7 @@ def test_delay_is_the_time_until_a_movement_is_felt_and_seen(late, late_sight, n
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
         posture = before.filter(before.seen + STEP * turn, speeds, still, STEP)
-        delay = delay.estimate(before, posture, np.array([look >= late_sight]))
+        delay = delay.estimate(before, posture, np.array([0.01 * (look >= late_sight)]))
     assert (delay.late, delay.late + delay.lag) == (late, late_sight)
 
 
@@ -373,6 +373,11 @@ PERTURBATIONS = ("rotation-60", "shorter-50", "vision-noise-0.1", "delay-400", "
 @pytest.mark.parametrize("build", [mmc_body, ik_body])
 def test_a_body_that_is_not_as_given_reaches_nearly_all_targets(build, arguments):
     assert success(episodes(build, **arguments)) >= 0.92
+
+
+@pytest.mark.parametrize(("hidden", "least"), [("no-feedback", 1.0), ("endpoint-feedback", 0.5)])
+def test_a_hidden_hand_is_no_evidence_about_the_body(hidden, least):
+    assert success(episodes(ik_body, 20, perturbations=hidden)) >= least
 
 
 @pytest.mark.parametrize("vigour", [1.0, pytest.param(0.0, marks=pytest.mark.slow)])

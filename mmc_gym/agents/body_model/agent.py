@@ -158,8 +158,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if not every(is_first):
             after = self._compare_step(state, seen)
             state = where(is_first, state, after) if some(is_first) else after
-        state = state._replace(senses=state.senses._replace(hand=as_points(seen.hand)))
-        return self._identify_body(state, seen)
+        state = state._replace(senses=state.senses.look(seen))
+        is_hidden, after = state.senses.is_hidden, self._identify_body(state, seen)
+        return where(is_hidden, state, after) if some(is_hidden) else after
 
     def _compare_step(self, state: BodyState, seen: Seen) -> BodyState:
         """Compare the last control step with its command.

@@ -76,6 +76,10 @@ LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
 ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
+REVEALED = 0.15  # one that was seen at rest and moves by more was hidden until now, likewise
+SAME_PLACE = 1e-5  # a hand that moves by less is seen where it was: rounding, likewise
+TURNED = 1e-3  # a turn of a joint that moves the hand, radians
+TURNED_PER_NOISE = 4.0  # what noise of the joint angles adds to it
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
 CLEARLY = 5.0  # a commanded turn of this many times the onset should be felt
 EARLY = 6  # observations in which noise may still be taken for a movement
@@ -88,6 +92,8 @@ class Senses(NamedTuple):
     target: TargetTrack
     delay: Delay
     hand: Points  # as last seen
+    felt: Floats  # joint angles as last seen
+    is_hidden: Bools  # whether the hand is not seen now, (n,)
     postures: Floats  # joint angles, the latest last, (n, LONGEST_DELAY + 1, N)
 
     @classmethod
@@ -99,8 +105,22 @@ class Senses(NamedTuple):
             TargetTrack.start(as_points(sensed.target)),
             Delay.start(command_of(interface, joint_angles, joint_angles)),
             np.zeros(len(joint_angles), complex),
+            joint_angles,
+            np.zeros(len(joint_angles), bool),
             np.repeat(joint_angles[:, None], LONGEST_DELAY + 1, axis=1),
         )
+
+    def look(self, seen: Seen) -> Senses:
+        """Return the senses that remember where the hand was seen, in which posture.
+
+        A hidden hand, or cursor, repeats its last sight, though the joints turn.
+        """
+        hand = as_points(seen.hand)
+        turned = np.abs(seen.joint_angles - self.felt).max(axis=-1)
+        noise = self.posture.deviation.max(axis=-1)
+        is_new = turned > TURNED + TURNED_PER_NOISE * noise
+        is_hidden = (np.abs(hand - self.hand) < SAME_PLACE) & (self.is_hidden | is_new)
+        return self._replace(hand=hand, felt=seen.joint_angles, is_hidden=is_hidden)
 
     def update(self, seen: Seen, interface: ReachInterface, parts: Parts) -> Senses:
         """Return the senses after one more observation; movement, and so delay, is seen last."""
@@ -114,16 +134,15 @@ class Senses(NamedTuple):
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        hand = as_points(seen.hand)
-        hand_moves = np.abs(hand - self.hand) > ONSET_OF_HAND
-        delay = self.delay.estimate(self.posture, posture, hand_moves)
+        moved = np.abs(as_points(seen.hand) - self.hand)
+        delay = self.delay.estimate(self.posture, posture, moved)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         postures = self.postures
         if delay.may_lag:
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
-        return Senses(posture, target, delay, self.hand, postures)
+        return self._replace(posture=posture, target=target, delay=delay, postures=postures)
 
     def record(self, command: Floats, interface: ReachInterface) -> Senses:
         """Return the senses after commands were sent."""
@@ -378,10 +397,12 @@ class Delay(NamedTuple):
         """How much later hand and target are seen than the joints are felt, (n,)."""
         return np.maximum(self.late_sight - self.late, 0.0)
 
-    def estimate(self, before: PostureTrack, posture: PostureTrack, hand_moves: Bools) -> Delay:
+    def estimate(self, before: PostureTrack, posture: PostureTrack, moved: Floats) -> Delay:
         """Return the estimate after one more observation of the posture and the hand.
 
-        Values that repeat exactly show no movement, because even noise would change them.
+        Values that repeat exactly show no movement, because even noise would change them.  A hand
+        that has `moved`, (n,), by more than any late one at its onset was hidden, not late; so is
+        one that has not been seen to move for longer than the longest delay.
         """
         if every(self.is_felt & self.is_seen) and every(posture.age > EARLY):
             return self
@@ -389,12 +410,13 @@ class Delay(NamedTuple):
         moves &= (posture.seen != before.seen).any(axis=-1)
         waited = np.clip(self.due - 1, 0, LONGEST_DELAY)
         late = np.where(self.is_felt, self.late, waited)
-        late_sight = np.where(self.is_seen, self.late_sight, waited)
+        is_hidden = ~self.is_seen & ((self.due > LONGEST_DELAY + 1) | (moved > REVEALED))
+        late_sight = np.where(self.is_seen, self.late_sight, np.where(is_hidden, late, waited))
         # In the first observations noise may look like movement, so it must be confirmed.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
         is_felt = moves | (self.is_felt & keeps)
         due = self.due + (self.due > 0)
-        is_seen = self.is_seen | hand_moves
+        is_seen = self.is_seen | (moved > ONSET_OF_HAND) | is_hidden
         return Delay(self.commands, due, late, is_felt, late_sight, is_seen)
 
     def record(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
