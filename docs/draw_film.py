@@ -9,7 +9,7 @@ from pathlib import Path
 from mmc_gym.record import record
 
 AGENTS = ("mmc", "mmc-body", "ppo")
-SEED = 5  # of 40 seeds, ppo succeeds in about one of two episodes, as in this one
+SEED = 8  # of 32 episodes mmc-body reaches in 23, ppo in 15, mmc in 2; here in 2, 1 and 0 of 2
 
 if __name__ == "__main__":
     default = Path(__file__).resolve().parent / "film.gif"
