@@ -34,6 +34,7 @@ SMALL = {  # options for less work, unless the command has them
 }
 # Libraries of which not all are installed everywhere; they may warn.
 OTHERS = ("d3rlpy", "minari", "ray", "torchrl")
+OF_RLLIB = ("tree", "lz4", "ormsgpack")  # Ray alone does not bring them
 # A window, a cluster, and every training: their options are checked only.
 TOO_MUCH = ("play", "--cluster", "--all")
 
@@ -119,6 +120,7 @@ COMMANDS = sorted({command for page in PAGES for command in commands(page.read_t
 @pytest.mark.parametrize("code", PYTHON)
 def test_the_code_of_a_page_runs(code, here):
     others = {*re.findall(r"^(?:import|from) (\w+)", code, re.MULTILINE)} & {*OTHERS}
+    others |= {*OF_RLLIB} if "ray.rllib" in code else set()
     if missing := [name for name in sorted(others) if find_spec(name) is None]:
         pytest.skip(f"not installed: {', '.join(missing)}")
     if "load_dataset" in code:
