@@ -64,7 +64,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
+        (["train", "dqn"], "name 'dqn' is not accepted. It may be a2c, "),
         (["train", "ppo", "--on", "pursuit"], "on must be perturbations; a task is named by --env"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["list", "agents", "--import", "../.."], "import must be the name of a module"),
