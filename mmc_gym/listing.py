@@ -76,7 +76,7 @@ def _episodes(task: Task) -> str:
 def list_perturbations() -> Listing:
     """Return the names of all perturbations; `perturbations=[NAME]` takes them, of any strength.
 
-    >>> list_perturbations().rows[1]
+    >>> next(row for row in list_perturbations().rows if row.name == "rotation")
     Listed(name='rotation', what='cursor turned by 30°', needs='°')
     """
     rows = (
