@@ -23,7 +23,7 @@ SHOWS = {
     "plain_torch.py": r"9[5-9]\.\d% of the targets after",
     "adaptation/plot_error_clamp.py": r"3\.75°: .* \d°.*7\.5°: .* 1\d°.*15°: .* [34]\d°",
     "adaptation/plot_generalisation.py": r"-22\.5: 2\d\.\d, 0\.0: 2\d\.\d, 22\.5: 2",
-    "adaptation/plot_rotation_and_washout.py": r"asymptote +2\d\.\d+ +\d\.",
+    "adaptation/plot_rotation_and_washout.py": r"asymptote +2\d\.\d+ +\d+\.",
     "arm/plot_a_movement.py": r"the hand is 0\.0\d+ segment lengths from its target",
     "arm/plot_contact_sheet.py": r"\d+ tasks, \d+ perturbations",
     "arm/plot_locked_joint.py": r"mmc: [12]\d% .*\nmmc-body: [6-9]\d%",

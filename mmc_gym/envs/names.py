@@ -371,6 +371,14 @@ def _delay(ms: float) -> SensoryDelay:
     return SensoryDelay(_seconds(ms))
 
 
+def _no_feedback(_: float) -> NoFeedback:
+    return NoFeedback()
+
+
+def _endpoint_feedback(_: float) -> EndpointFeedback:
+    return EndpointFeedback()
+
+
 def _vision_delay(ms: float) -> VisionDelay:
     return VisionDelay(_seconds(ms))
 
@@ -461,7 +469,7 @@ _FAMILIES = (  # name, unit, description, default, make
         "",
         "hand not seen after the start",
         1.0,
-        lambda _: NoFeedback(),
+        _no_feedback,
         has_strength=False,
     ),
     Family(
@@ -469,7 +477,7 @@ _FAMILIES = (  # name, unit, description, default, make
         "",
         "hand seen at the end of the movement only",
         1.0,
-        lambda _: EndpointFeedback(),
+        _endpoint_feedback,
         has_strength=False,
     ),
     Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),

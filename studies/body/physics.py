@@ -73,7 +73,7 @@ def success(name: str, setting: str, episodes: int) -> str:
     """Return the success of an agent in a setting, in per cent."""
     entry = AGENTS[name]
     with solved(setting):
-        arguments = {**SETTINGS[setting], "control": entry.control}
+        arguments = {**SETTINGS[setting], "control": entry.control or "joint_delta"}
         scores = evaluate(entry.build, ENV, arguments, episodes)
     return f"{100 * scores['success']:.1f}"
 
