@@ -144,7 +144,7 @@ def fit_curve(
         perturbation: p, (trials,) or a number; NaN where nothing is seen.
         clamp: the error that is shown in error clamps, NaN in other trials, likewise.
         error: the errors that were seen, if they shall drive the states, likewise.
-        x: of an exponential or a Gaussian, (trials,); None: 0, 1, ….
+        x: of a Gaussian, degrees, (trials,); None: 0, 1, …, as an exponential always has.
 
     >>> aligned, turned = [0.0] * 20, [30.0] * 80
     >>> curve = 24 * (1 - 0.9 ** np.arange(80))
@@ -164,7 +164,8 @@ def fit_curve(
         values = found[0]
     elif model == "exponential":
         values = fit_exponential(curve)[[0, 2, 1]]
-        predicted = values[0] + (values[1] - values[0]) * np.exp(-values[2] * places)
+        fall = np.exp(-values[2] * np.arange(len(curve)))
+        predicted = values[0] + (values[1] - values[0]) * fall
     elif model == "gaussian":
         values = fit_gaussian(curve, places)
         offset, height, centre, width = values
@@ -177,9 +178,8 @@ def fit_curve(
         unknown = dict.fromkeys(PARAMETERS[model], math.nan)
         return Fit(model, unknown, predicted, math.nan, math.nan, math.nan, trials=0)
     spread = float(np.var(curve[known])) * count
-    least = (
-        _EXACT * float((curve[known] ** 2).sum()) + 1e-300
-    )  # of exact curves, few parameters win
+    # Of exact curves, few parameters win.
+    least = _EXACT * float((curve[known] ** 2).sum()) + 1e-300
     bic = count * math.log((square + least) / count) + len(values) * math.log(count)
     return Fit(
         model,

@@ -125,6 +125,8 @@ def test_an_exponential_is_found_again_and_noise_has_none():
     assert starts == pytest.approx([5.0] * 3, rel=1e-4)
     assert found == pytest.approx(rates, rel=1e-4)
     assert fit_curve(curves[1], "exponential").mean_square == pytest.approx(0.0, abs=1e-6)
+    later = pd.DataFrame({"trial": np.arange(60, 160), "adaptation": curves[1]})
+    assert fit(later, "exponential")["r_squared"].item() == pytest.approx(1.0)
     noise = np.random.default_rng(0).normal(size=(20, 100))
     assert np.isnan(fit_exponential(noise)).all()
     assert np.isnan(fit_exponential(np.zeros(100))).all()
