@@ -6,7 +6,7 @@ Only this module knows the place of each number in an observation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from math import cos, sin, sqrt
@@ -110,6 +110,7 @@ class ObservationLayout:
     #: whether `encode` clips to `limits`; noise or a cursor may exceed the reach
     is_clipped: bool = False
     has_goals: bool = False  #: whether `encode` makes observations of `MMCReachGoal-v0`
+    context_size: int = 0  #: how many numbers of a context follow an observation
 
     @cached_property
     def posture_size(self) -> int:
@@ -128,15 +129,16 @@ class ObservationLayout:
         limits[-6:-2] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
         return limits
 
-    def space(self, more: int = 0) -> spaces.Box:
-        """Return the observation space of `MMCReach-v0`, with more numbers within ±1 behind."""
-        limits = np.concatenate([self.limits, np.ones(more, np.float32)])
+    def space(self, more: Sequence[float] | Floats = ()) -> spaces.Box:
+        """Return the observation space of `MMCReach-v0`, with the limits of numbers behind."""
+        limits = np.concatenate([self.limits, more], dtype=np.float32)
         return spaces.Box(-limits, limits, dtype=np.float32)
 
-    def goal_space(self, farthest: float, more: int = 0) -> spaces.Dict:
+    def goal_space(self, farthest: float, more: Sequence[float] | Floats = ()) -> spaces.Dict:
         """Return the observation space of `MMCReachGoal-v0`; no coordinate is beyond `farthest`."""
         goal = spaces.Box(-farthest, farthest, (2,), np.float64)
-        posture = spaces.Box(-1.0, 1.0, (self.posture_size + more,), np.float32)
+        limits = np.concatenate([np.ones(self.posture_size), more], dtype=np.float32)
+        posture = spaces.Box(-limits, limits, dtype=np.float32)
         return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
 
     def additions(self, space: spaces.Space[Any]) -> int:
@@ -183,12 +185,14 @@ class ObservationLayout:
         """Return an observation of either kind, see the class, as arrays of finite numbers."""
         if type(observation) is np.ndarray and observation.ndim == 1:
             values = observation.tolist()  # for a single arm four times quicker than numpy
-            is_whole = len(values) == self.size and observation.dtype.char in "fd"
+            is_whole = len(values) == self.size + self.context_size
+            is_whole = is_whole and observation.dtype.char in "fd"
             if is_whole and math.isfinite(sum(values)):
                 return observation
         if not isinstance(observation, Mapping):
-            return require_floats("observation", observation, (self.size,))
-        sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
+            return require_floats("observation", observation, (self.size + self.context_size,))
+        sizes = {"observation": self.posture_size + self.context_size}
+        sizes |= {"achieved_goal": 2, "desired_goal": 2}
         accepted = f"a mapping with {', '.join(sizes)}"
         require(sizes.keys() <= observation.keys(), "observation", sorted(observation), accepted)
         rows = {
@@ -321,6 +325,7 @@ class ReachInterface:
     #: posture to be reached in the end, not how far to turn in a control step.
     has_drive: bool = False
     arm: Any = None  #: of an arm in space, its joints; None in the plane
+    context_size: int = 0  #: how many numbers of a context follow an observation of this package
 
     def __post_init__(self) -> None:
         def positive(numbers: Numbers) -> bool:
@@ -361,7 +366,8 @@ class ReachInterface:
                 "write a ReachInterface and hand it in, interface=..."
             )
         names = (one.name for one in fields(cls) if hasattr(body, one.name))
-        return cls(control=control, **{name: getattr(body, name) for name in names})
+        more = {"control": control, "context_size": read_attribute(env, "context_size") or 0}
+        return cls(**{name: getattr(body, name) for name in names}, **more)
 
     @property
     def is_own(self) -> bool:
@@ -376,7 +382,8 @@ class ReachInterface:
                 "env must be a reaching environment of mmc_gym for an agent that reads its "
                 f"observations itself, got one with {type(self).__name__}"
             )
-        return ObservationLayout(len(self.segment_lengths), sum(self.segment_lengths))
+        lengths = self.segment_lengths
+        return ObservationLayout(len(lengths), sum(lengths), context_size=self.context_size)
 
     @property
     def _joint_count(self) -> int:

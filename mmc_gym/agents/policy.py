@@ -22,7 +22,7 @@ import numpy as np
 import safetensors.numpy
 from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
-from pydantic import ConfigDict, TypeAdapter, ValidationError, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import from_json
 from safetensors import SafetensorError
@@ -115,6 +115,8 @@ class PolicyCard:
     body: ArmParameters | None = None  #: that of its training, without perturbations; or None
     #: steps in each block of its memory, see `History`; empty if it has none
     blocks: tuple[Annotated[int, Gt(0)], ...] = ()
+    #: perturbations on the scale of whose ranges it observes the context; empty if it does not
+    context: list[Any] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -206,6 +208,7 @@ class PolicyAgent(Agent[Any]):
         self._history = History(layout, card.blocks) if card.blocks else None
         inputs = layout.size + (count if card.base_agent else 0)
         inputs += self._history.size if self._history else 0
+        inputs += layout.context_size if card.context else 0
         if network.input_size != inputs:
             raise UserError(f"network must take {inputs} features, got {network.input_size}")
         if network.memory_units and (card.base_agent or self._history):
@@ -236,6 +239,8 @@ class PolicyAgent(Agent[Any]):
         layout = self._interface.layout
         observation = layout.check(observation)
         seen = layout.flatten(observation).astype(np.float32, copy=False)
+        if layout.context_size and not self.card.context:
+            seen = seen[..., : layout.size]
         random = None if deterministic else self._random
         if self._history is not None:
             start = partial(self._history.start, observation)

@@ -43,7 +43,7 @@ IDEAL = Knowledge("ideal", lengths="has no arm", actions="has no arm", senses="s
 
 
 def learned_knowledge(
-    base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
+    base_agent: str = "", kind: Kind = "learned", *, memory: int = 0, context: bool = False
 ) -> Knowledge:
     """Return what a trained policy is given and senses.
 
@@ -51,9 +51,11 @@ def learned_knowledge(
         base_agent: the agent whose actions it corrects; empty without one.
         kind: "yours" for one that does not ship with the package.
         memory: number of the last steps that it remembers.
+        context: whether it is given what was drawn for the episode.
     """
     senses = "posture, joint speeds, target, and offset from hand to target, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
+    senses += "; and what was drawn for the episode" if context else ""
     given = "not given: had to learn"
     if base_agent:
         given = f"given to {base_agent}, which it corrects"
@@ -105,6 +107,7 @@ def _trained(
     control: Control = "joint_delta",
     base_agent: str = "",
     memory: int = 0,
+    context: bool = False,
     command: str = "mmc-gym train {}",
 ) -> dict[str, AgentEntry]:
     """Return the entry of a policy that ships, under its name."""
@@ -112,7 +115,7 @@ def _trained(
         name: AgentEntry(
             f"{description}, trained by `{command.format(name)}`",
             "policy:shipped_agent",
-            learned_knowledge(base_agent, memory=memory),
+            learned_knowledge(base_agent, memory=memory, context=context),
             control,
             training_seeds,
             settings={"name": name},

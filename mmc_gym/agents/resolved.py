@@ -37,7 +37,7 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
 )
 from mmc_gym.agents.sb3 import AsTrained, ModelAgent, SavedModel, as_agent
-from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface
+from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface, read_attribute
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -66,6 +66,12 @@ class ResolvedAgent:
     number: int | None = None
     #: a function, or "module:function", that puts an environment into the wrappers of its training
     wrapper: Any = None
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of environments that it needs: they show the context, if its training did."""
+        context = self.card.context if self.card is not None else []
+        return {"observe_context": context} if context else {}
 
     def wrapped(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         """Return an environment in the wrappers of its training."""
@@ -169,7 +175,8 @@ class ResolvedAgent:
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)
-            return learned_knowledge(card.base_agent, kind, memory=memory)
+            context = bool(card.context)
+            return learned_knowledge(card.base_agent, kind, memory=memory, context=context)
         if self.model is not None:
             return learned_knowledge(kind="yours")
         if self.is_reference:
@@ -225,6 +232,11 @@ def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
 
     require_plain(env)
     network, card = load_policy(path)
+    if card.context and read_attribute(env, "context_scale") != card.context:
+        raise CannotActError(
+            f"env must show the context as in the training of {card.file_stem}: make it with "
+            f"observe_context={card.context}"
+        )
     agent = PolicyAgent(network, card, ReachInterface.of(env))
     warn_of_another_arm(card.file_stem, card.body, env)
     return agent

@@ -103,6 +103,7 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
         CannotActError: if the agent cannot act in the environment.
     """
     asked = agent.own_control or played.arguments.get("control")
+    played = played.with_arguments(**agent.arguments)
     made = agent.wrapped(played.make(asked or agent.control))
     check_environment(made)
     try:
@@ -147,13 +148,14 @@ class Arms:
     def __init__(self, played: Playable) -> None:
         """Own the vector environments of what is played."""
         self._played = played
-        self._made: dict[tuple[int, str | None], MMCReachVectorEnv] = {}
+        self._made: dict[tuple[int, str | None, str], MMCReachVectorEnv] = {}
 
-    def vector(self, count: int, control: str | None) -> MMCReachVectorEnv | None:
+    def vector(self, count: int, control: str | None, context: Any) -> MMCReachVectorEnv | None:
         """Return the one of this package that equals the single environment, if there is one."""
-        key = count, control
+        key = count, control, repr(context)
         if key not in self._made:
-            vector = self._played.make_vec(count, control)
+            more = {"observe_context": context} if context else {}
+            vector = self._played.with_arguments(**more).make_vec(count, control)
             if isinstance(vector, MMCReachVectorEnv):
                 self._made[key] = vector
             elif vector is not None:
@@ -186,8 +188,8 @@ def play_episodes(
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
     vectors: list[Any] = []
     if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
-        control = read_attribute(env, "control")
-        vectors = [arms.vector(len(seeds[one]), control) for one in chunks]
+        facts = read_attribute(env, "control"), read_attribute(env, "context_scale")
+        vectors = [arms.vector(len(seeds[one]), *facts) for one in chunks]
     if not vectors or None in vectors:
         return run_episodes(player, env, seeds, on_episode, options)
     together: list[Episode] = []

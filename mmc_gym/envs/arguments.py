@@ -50,7 +50,8 @@ class ReachArguments(ArmParameters):
     success_distance: float = 0.05  #: largest distance to a reached target, segment lengths
     task: str | Task = "random"  #: where the target is and how it moves
     perturbations: AnyChange | Sequence[AnyChange] = ()  #: of body, cursor or senses: `"delay-160"`
-    observe_context: bool = False  #: whether what is drawn is shown, within ±1
+    #: whether what is drawn is shown, on the scale of its ranges; or perturbations with such ranges
+    observe_context: bool | AnyChange | Sequence[AnyChange] = False
     engine: Engine = "pymunk"  #: what simulates the arm
 
     def __post_init__(self) -> None:

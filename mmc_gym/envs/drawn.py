@@ -7,9 +7,9 @@ both go through the same code: so a vector of arms draws what single arms draw, 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 _SENSES = Noise | Cursor | Delay | Feedback | Timed
-_MOST_CORNERS, _SAMPLES = 64, 16  # of the draws that are tried when an environment is made
+_CORNERS, _SAMPLES = 64, 16  # of the draws that are tried when an environment is made
 
 
 class NoColumns(Exception):
@@ -101,11 +101,12 @@ class Part:
     family: Family | None  #: that makes it from its strength, if that has a range
     places: tuple[int, ...]  #: among the drawn numbers
     chosen: tuple[int, int] | None  #: as of `Strength`
+    ends: tuple[float, float] = (0.0, 0.0)  #: of the family's range
 
     def make(self, numbers: Sequence[Any]) -> Perturbation:
         """Return it with these drawn numbers."""
         drawn, timed = [numbers[place] for place in self.places], self.perturbation
-        one = timed.perturbation if isinstance(timed, Timed) else timed
+        one = _untimed(timed)
         made = one
         if self.family is not None:
             made = self.family.make(drawn.pop(0))
@@ -117,6 +118,47 @@ class Part:
         if self.places or self.chosen:
             vars(made)["known"] = False  # an agent is given its arm once
         return made
+
+    @cached_property
+    def _ends(self) -> Any:
+        """Its perturbation at both ends of its family's range; or twice itself."""
+        one = _untimed(self.perturbation)
+        return (one, one) if self.family is None else [*map(self.family.make, self.ends)]
+
+    @cached_property
+    def _varied(self) -> list[str]:
+        """The names of the fields of its perturbation that are drawn."""
+        low, high = self._ends
+        if self.family is None:
+            return drawn_fields(low)
+        return [name for name in _fields(low) if getattr(low, name) != getattr(high, name)]
+
+    def _strength(self, name: str, value: Any) -> Any:
+        """Return the number that is drawn if this field has a value."""
+        if self.family is None or value is None:
+            return value
+        (low, high), (first, last) = self.ends, (getattr(one, name) for one in self._ends)
+        return low + (high - low) * (value - first) / (last - first)
+
+    def read(self, change: Change | None) -> list[float | None] | None:
+        """Return the numbers by which it is this perturbation; None if it never is.
+
+        Those by which it changes nothing, without a perturbation; None in it for one without.
+        """
+        if change is None:
+            none = _untimed(self.perturbation).neutral
+            numbers = [self._strength(name, none.get(name)) for name in self._varied]
+            return numbers + [0.0] * (len(self.places) - len(numbers))
+        one, low = change.untimed, self._ends[0]
+        names = [name for name in _fields(low) if name not in self._varied]
+        if self.family is not None and self.family is change.family:
+            numbers = [change.strength]
+        elif type(one) is type(low) and all(getattr(one, k) == getattr(low, k) for k in names):
+            numbers = [self._strength(name, getattr(one, name)) for name in self._varied]
+        else:
+            return None
+        timed = drawn_fields(self.perturbation) if isinstance(self.perturbation, Timed) else []
+        return numbers + [getattr(change.perturbation, name, 0.0) for name in timed]
 
 
 class Draws:
@@ -157,8 +199,11 @@ class Draws:
         is_sense = bool(senses_of([one]))
         accepted = f"declared by {type(one).__name__}, as an option of OneOf"
         require(not (chosen and is_sense) or bool(one.neutral), "neutral", one.neutral, accepted)
-        family = change.family if is_range else None
-        self._parts.append(Part(timed, family, places, chosen))
+        if change.range is None:
+            self._parts.append(Part(timed, None, places, chosen))
+        else:
+            ends = change.range.support()
+            self._parts.append(Part(timed, change.family, places, chosen, ends))
 
     def _number(self, name: str, distribution: Any, chosen: tuple[int, int] | None) -> int:
         same = sum(one.name.partition("#")[0] == name for one in self.strengths)
@@ -183,15 +228,45 @@ class Draws:
             context[one.name] = np.array(shown) if np.ndim(shown) else float(shown)
         return context
 
-    def scaled(self, numbers: Floats) -> NDArray[np.float32]:
-        """Return the context as it is observed, (..., m): within ±1, and 0 where not chosen."""
+    def shown(self, numbers: Floats) -> NDArray[np.float32]:
+        """Return the context as it is observed, from (..., m).
+
+        Numbers are scaled to ±1, and 0 in an option that was not chosen.  In the place of a choice
+        there is for each option, None excepted, 1 if it was chosen and else 0.
+        """
+
+        def is_chosen(place: int, option: int) -> Any:
+            return numbers[..., place] == option
+
+        return np.clip(self._shown(numbers, is_chosen), -1.0, 1.0)
+
+    def shown_of(self, changes: Sequence[Change]) -> NDArray[np.float32]:
+        """Return the context of other perturbations as it is observed: beyond ±1 if they are.
+
+        What no perturbation sets is as it changes nothing, or 0.
+        """
         low, high = np.array([[one.low, one.high] for one in self.strengths]).T
-        width = np.where(high > low, high - low, 1.0)
-        shown = np.clip(2 * (numbers - low) / width - 1, -1.0, 1.0)
+        numbers, left, chosen = (low + high) / 2, list(changes), set()
+        for part in self._parts:
+            pairs = ((one, part.read(one)) for one in left)
+            one, found = next((pair for pair in pairs if pair[1] is not None), (None, None))
+            if one is not None:
+                left.remove(one)
+                chosen.add(part.chosen)
+            for place, number in zip(part.places, found or part.read(None) or (), strict=True):
+                numbers[place] = numbers[place] if number is None else number
+        return self._shown(numbers, lambda *option: option in chosen)
+
+    def _shown(self, numbers: Floats, is_chosen: Callable[[int, int], Any]) -> NDArray[np.float32]:
+        columns = []
         for place, one in enumerate(self.strengths):
-            if one.chosen is not None:
-                shown[..., place] *= numbers[..., one.chosen[0]] == one.chosen[1]
-        return shown.astype(np.float32)
+            if isinstance(one.distribution, OneOf):
+                options = enumerate(one.distribution.options)
+                columns += [1.0 * is_chosen(place, k) for k, option in options if option]
+                continue
+            share = (numbers[..., place] - one.low) / ((one.high - one.low) or 1.0)
+            columns.append((2 * share - 1) * (is_chosen(*one.chosen) if one.chosen else 1.0))
+        return np.stack(columns, axis=-1).astype(np.float32)
 
     def set(self, numbers: Floats, context: dict[str, Floats] | None) -> Floats:
         """Return the numbers, (k, m), with those of a context in their places."""
@@ -215,7 +290,7 @@ class Draws:
             if part.chosen is not None:
                 is_chosen = columns[part.chosen[0]] == part.chosen[1]
             made = part.make(columns)
-            has_neutral = bool((made.perturbation if isinstance(made, Timed) else made).neutral)
+            has_neutral = bool(_untimed(made).neutral)
             if part.chosen is not None and has_neutral:
                 found.append(made.grown(is_chosen * 1.0))
             elif part.chosen is None or (is_one and is_chosen):
@@ -226,18 +301,28 @@ class Draws:
 
     def samples(self) -> Floats:
         """Return rows of numbers that may be drawn, (n, m): the middle, extremes and others."""
-        ends = [
-            range(len(one.distribution.options))
-            if isinstance(one.distribution, OneOf)
-            else sorted({one.low, one.high})
-            for one in self.strengths
-        ]
-        corners = np.array([*itertools.islice(itertools.product(*ends), 4 * _MOST_CORNERS)], float)
-        random = np.random.default_rng(0)
-        chosen = random.permutation(len(corners))[:_MOST_CORNERS]
-        count = len(self.strengths)
+        count, random = len(self.strengths), np.random.default_rng(0)
         others = self.numbers(np.vstack([np.full(count, 0.5), random.random((_SAMPLES, count))]))
-        return np.vstack([others, corners[chosen]])
+        corners, single = np.empty((_CORNERS, count)), []
+        for place, one in enumerate(self.strengths):
+            is_option = isinstance(one.distribution, OneOf)
+            ends = range(int(one.high) + 1) if is_option else (one.low, one.high)
+            corners[:, place] = random.permutation(np.resize(ends, _CORNERS))
+            for end in ends:
+                single.append(others[0].copy())
+                single[-1][place] = end
+                if one.chosen is not None:
+                    single[-1][one.chosen[0]] = one.chosen[1]
+        return np.array([*dict.fromkeys(map(tuple, np.vstack([others, single, corners])))])
+
+
+def _untimed(one: Perturbation) -> Perturbation:
+    return one.perturbation if isinstance(one, Timed) else one
+
+
+def _fields(one: Perturbation) -> list[str]:
+    """Return the names of the fields that say what a perturbation does."""
+    return [name for name in vars(one) if name not in ("known", "turn")]
 
 
 def senses_of(perturbations: Sequence[Perturbation]) -> list[Perturbation]:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
@@ -30,7 +30,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym._errors import UserError, nearest, require, require_known, unknown
 from mmc_gym.envs.drawn import OneOf
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
@@ -303,10 +303,16 @@ def parse_task(name: object) -> TaskEntry:
 
 
 def as_change(value: object) -> Change:
-    """Return a perturbation given by name or as an object."""
+    """Return a perturbation given by name, as an object, or as in a file: {"one_of": [...]}."""
+    if isinstance(value, Mapping):
+        require_known("a mixture", value, ("one_of", "weights"))
+        options = value.get("one_of", ())
+        accepted = "a list of perturbations; null is no change"
+        require(isinstance(options, list | tuple), "one_of", options, accepted)
+        value = OneOf(*options, weights=value.get("weights"))
     if isinstance(value, OneOf):
-        options = (None if one is None else as_change(one) for one in value.options)
-        return Change(OneOf(*options, weights=value.weights))
+        changes = (None if one is None else as_change(one) for one in value.options)
+        return Change(OneOf(*changes, weights=value.weights))
     if isinstance(value, Perturbation):
         value.check_hooks()
         return Change(value)

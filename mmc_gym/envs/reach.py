@@ -17,7 +17,6 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
-from mmc_gym.envs.drawn import Draws
 from mmc_gym.envs.feedback import HandSight
 from mmc_gym.envs.spec import (
     GoalSetup,
@@ -121,9 +120,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     The strength of a perturbation may be a range (`"rotation--60..60"`) or a frozen distribution of
     scipy.stats (`VisuomotorRotation(uniform(-60, 120))`), and a perturbation `OneOf` several
     (`mmc_gym.envs.drawn`): each episode draws its own.  `context` and `info["context"]` have what
-    was drawn; `reset(options={"context": {"rotation": 30}})` sets it; `observe_context` appends it
-    to the observation, scaled to ±1.  Agents are not given it.  `env.unwrapped.perturbations = …`
-    sets what later episodes draw from.
+    was drawn; `reset(options={"context": {"rotation": 30}})` sets it.  `observe_context=True`
+    appends it to the observation, scaled to ±1, for agents that are trained with it;
+    `observe_context="rotation--60..60"` does so on that scale, whatever the perturbations are.
+    `env.unwrapped.perturbations = …` sets what later episodes draw from.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
     does; it has no window.  Long after the last reset it cannot be copied, see
@@ -151,6 +151,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
         self._draws = setup.draws
         self._numbers = np.zeros(0) if setup.draws is None else setup.draws.samples()[0]
+        self._shown = setup.context_of(self._numbers[None])[0]
         self._hand_sight = HandSight(1, setup.unperturbed.control_step)
         self._renderer: Renderer | None = None
         self._begin(setup)
@@ -173,7 +174,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             drawn = uniform_numbers([self.np_random], len(of_all.draws.strengths))
             numbers = of_all.draws.set(of_all.draws.numbers(drawn), checked.context)[0]
             self._begin(of_all.episode(numbers))
-            self._numbers = numbers
+            self._numbers, self._shown = numbers, of_all.context_of(numbers[None])[0]
         elif self.setup is not of_all:
             self._begin(of_all)
         self._draws = of_all.draws
@@ -181,7 +182,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         observation, _, info = self._look_and_reward()
         self._late.extend([observation] * self.setup.delay)
         observation = self._delayed(observation)
-        if self._draws is not None:
+        self._has_context = self._draws is not None or len(self._shown) > 0
+        if self._has_context:
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
@@ -207,7 +209,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         observation, reward, info = self._look_and_reward()
         if setup.are_senses_disturbed:
             observation = self._delayed(observation)
-        if self._draws is not None:
+        if self._has_context:
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
@@ -290,14 +292,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
 
     def _with_context(self, observation: Any, info: Info) -> Any:
-        """Return the observation with what was drawn, if that is shown; write it into `info`."""
-        assert self._draws is not None
-        info["context"] = self._draws.context(self._numbers)
-        return (
-            with_context(observation, self._draws, self._numbers)
-            if self.setup.shows_context
-            else observation
-        )
+        """Return the observation with the context, if that is shown; write it into `info`."""
+        if self._draws is not None:
+            info["context"] = self._draws.context(self._numbers)
+        return with_context(observation, self._shown) if len(self._shown) else observation
 
     def _place(self, posture: list[float], targets: list[Point]) -> None:
         self._arm.reset(posture, parameters=self.setup.body)
@@ -400,12 +398,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return self._late[-1 - self._now.delay].copy()
 
 
-def with_context(observation: Any, draws: Draws, numbers: NDArray[np.float64]) -> Any:
-    """Return observations, (..., n) or a mapping, with drawn numbers, (..., m), behind them."""
+def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
+    """Return observations, (..., n) or a mapping, with a context, (..., m), behind them."""
     if isinstance(observation, dict):
-        seen = with_context(observation["observation"], draws, numbers)
-        return {**observation, "observation": seen}
-    return np.concatenate([observation, draws.scaled(numbers)], axis=-1)
+        return {**observation, "observation": with_context(observation["observation"], shown)}
+    return np.concatenate([observation, shown], axis=-1)
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.

@@ -33,7 +33,7 @@ from mmc_gym._errors import (
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.drawn import Draws, NoColumns, senses_of
+from mmc_gym.envs.drawn import Draws, NoColumns, OneOf, senses_of
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Channel,
@@ -129,7 +129,6 @@ class ReachSetup:
         """Check what the arguments are together; raise a `UserError` if they do not fit."""
         self.control, self.engine = arguments.control, arguments.engine
         self.success_distance = arguments.success_distance
-        self.shows_context = arguments.observe_context
         self.arms_differ = False  #: whether bodies are drawn
         self.others: list[ArmParameters] = []  #: bodies that may be drawn
         self.reward = RewardSettings(
@@ -144,6 +143,12 @@ class ReachSetup:
         changes = _changes(arguments.perturbations)
         #: what is drawn for each episode, or None
         self.draws = Draws(changes) if any(one.is_drawn for one in changes) else None
+        self._changes, shown = changes, arguments.observe_context
+        #: on whose scale the context is observed, or None
+        self.scale = self.draws if shown is True else Draws(_changes(shown)) if shown else None
+        if self.scale is not None:
+            accepted = "True, or perturbations from ranges, such as 'rotation--60..60'"
+            require(bool(self.scale.strengths), "observe_context", shown, accepted)
         task = [] if arguments.task == "random" else [self.task_name or type(self.task).__name__]
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task, *(one.name for one in changes)])
@@ -166,10 +171,12 @@ class ReachSetup:
         is_clipped = bool(self.noises) or self.farthest > self.reach
         #: of the observations; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
-        #: how many numbers of the context are shown behind an observation
-        self.shown_count = len(self.draws.strengths) if self.draws and self.shows_context else 0
+        rows = np.zeros((1, 0)) if self.draws is None else self.draws.samples()
+        #: of each number of the context that is shown behind an observation
+        self.context_limits = np.abs(self.context_of(rows)).max(axis=0, initial=1.0)
+        self.layout = replace(self.layout, context_size=len(self.context_limits))
         self.plain_space: spaces.Space[Any] = self.layout.space()  #: without the context
-        self.observation_space = self.layout.space(self.shown_count)
+        self.observation_space = self.layout.space(self.context_limits)
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         #: pictures a second, one each control step
         self.frame_rate = round(1 / self.given_body.control_step)
@@ -204,6 +211,17 @@ class ReachSetup:
         one = copy(self)
         one._perturb([*map(Change, self.draws.perturbations(numbers))])
         return one
+
+    def context_of(self, numbers: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return what observations of k arms that have drawn these numbers, (k, m), have behind."""
+        if self.scale is None:
+            return np.zeros((len(numbers), 0), np.float32)
+        if self.draws is None:
+            return np.tile(self.scale.shown_of(self._changes), (len(numbers), 1))
+        if self.scale is self.draws:
+            return self.scale.shown(numbers)
+        drawn = [map(Change, self.draws.perturbations(row)) for row in numbers]
+        return np.stack([self.scale.shown_of([*one]) for one in drawn])
 
     def _try_draws(self, draws: Draws) -> None:
         """Make room for all draws; raise a `UserError` if one of them is impossible."""
@@ -535,7 +553,7 @@ def _lock_steps(time: Any, control_step: float) -> Any:
 
 def _changes(perturbations: Any) -> list[Change]:
     """Return one perturbation, or a sequence of them, as a list."""
-    if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
+    if isinstance(perturbations, str | Mapping) or not isinstance(perturbations, Sequence):
         perturbations = (perturbations,)
     return [as_change(one) for one in perturbations]
 
@@ -568,7 +586,7 @@ class GoalSetup(ReachSetup):
         # Rounding may put a goal beyond the reach, by as much as is accepted of a target.
         farthest = self.farthest * (1 + REACH_TOLERANCE)
         self.plain_space = self.layout.goal_space(farthest)
-        self.observation_space = self.layout.goal_space(farthest, self.shown_count)
+        self.observation_space = self.layout.goal_space(farthest, self.context_limits)
 
 
 class ReachEnvironment:
@@ -587,6 +605,9 @@ class ReachEnvironment:
     engine = property(attrgetter("setup.engine"), doc="The engine that moves the arm.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
     reach = property(attrgetter("setup.reach"), doc="Sum of the given segment lengths.")
+    context_size = property(
+        attrgetter("setup.layout.context_size"), doc="How many numbers of it are observed."
+    )
     success_distance = property(
         attrgetter("setup.success_distance"),
         doc="Largest distance to a reached target, segment lengths.",
@@ -607,6 +628,13 @@ class ReachEnvironment:
     def context(self) -> dict[str, Any]:
         """What was drawn for the episode, by name: numbers, or arrays (n,) of n arms."""
         return self._draws.context(self._numbers) if self._draws else {}
+
+    @property
+    def context_scale(self) -> list[Any]:
+        """The perturbations on whose ranges the context is observed, by name if they have one."""
+        given = self._arguments.observe_context
+        shown = self._arguments.perturbations if given is True else given or []
+        return [*map(_by_name, _changes(shown))] if self.context_size else []
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -642,6 +670,11 @@ def _by_name(perturbations: Any) -> Any:
     """Return changes of registered families as their names, which a file can hold."""
     if isinstance(perturbations, list | tuple):
         return [_by_name(one) for one in perturbations]
+    if isinstance(perturbations, Change) and isinstance(perturbations.perturbation, OneOf):
+        perturbations = perturbations.perturbation
+    if isinstance(perturbations, OneOf):
+        weights = list(perturbations.weights)
+        return {"one_of": _by_name(perturbations.options), "weights": weights}
     is_named = isinstance(perturbations, Change) and perturbations.family is not None
     return perturbations.name if is_named else perturbations
 

@@ -93,7 +93,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         body, servo, others = setup.body, setup.action.servo, setup.others
         self._body = make_arms(setup.engine, body, num_envs, servo, arguments.threads, others)
         self._draws = setup.draws
-        self._numbers = np.zeros((num_envs, len(setup.draws.strengths) if setup.draws else 0))
+        first = np.zeros((1, 0)) if setup.draws is None else setup.draws.samples()[:1]
+        self._numbers = np.tile(first, (num_envs, 1))
+        self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
         self._parts = [of_many(one, num_envs) for one in setup.parts] if setup.draws else []
         self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
         self._copy = arguments.copy
@@ -267,7 +269,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
             uniform = uniform_numbers(randoms, len(setup.draws.strengths))
             numbers = setup.draws.set(setup.draws.numbers(uniform), context)
-            self._numbers[arms] = numbers
+            self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
             if at_once:
                 drawn = setup.episodes(numbers)
                 body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
@@ -440,10 +442,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return self._with_context(deepcopy(arrived) if self._copy else arrived)
 
     def _with_context(self, observation: Any) -> Any:
-        """Return the observations of all arms with what was drawn, if that is shown."""
-        if self._draws is None or not self.setup.shows_context:
-            return observation
-        return with_context(observation, self._draws, self._numbers)
+        """Return the observations of all arms with the context, if that is shown."""
+        return with_context(observation, self._context_shown) if self.context_size else observation
 
     def _arrived(self) -> Any:
         """Return what arms see now: the last observation, or one of some control steps ago."""

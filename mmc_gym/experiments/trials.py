@@ -132,7 +132,7 @@ class TrialsCell:
     def environment(self, player: Player, condition: Condition, arms: int) -> Any:
         """Make the environment of trials of a condition, with several arms for an `Agent`."""
         steps = round(self.experiment.seconds / player.control_step)
-        arguments = {**self.arguments, "max_episode_steps": steps}
+        arguments = {**self.arguments, **self.agent.arguments, "max_episode_steps": steps}
         scenario = self.experiment.scenario(condition, **arguments)
         if isinstance(player.agent, Agent):
             return scenario.make_vec(arms, player.control)

@@ -6,6 +6,8 @@ constructor (see `mmc_gym.agents.policy.ALGORITHMS`), and
     n_timesteps       environment steps of the training
     n_envs            number of environments
     env_kwargs        arguments of the environment
+    perturbations     one of them: what is drawn for each episode, such as [rotation--60..60]; or
+                      [{one_of: [rotation--60..60, locks-1..3, null], weights: [2, 2, 1]}]
     vec_env_wrapper   a wrapper around them, a mapping of it to its arguments, or a list of these
     normalize         true, or arguments of `VecNormalize`, which is put around these
     noise_type        of actions in training: normal, or ornstein-uhlenbeck
@@ -321,7 +323,8 @@ def read_recipe(
     recipe = Recipe(path.stem, env_id, entries[env_id])
     if env_kwargs is not None:
         require(isinstance(env_kwargs, Mapping), "env_kwargs", env_kwargs, "a mapping")
-    if env_kwargs:
-        given = recipe.hyperparameters.get("env_kwargs") or {}
-        recipe = recipe.with_changes(env_kwargs={**given, **env_kwargs})
+    own = recipe.hyperparameters
+    drawn = {"perturbations": own.pop("perturbations")} if "perturbations" in own else {}
+    if more := {**drawn, **(env_kwargs or {})}:
+        recipe = recipe.with_changes(env_kwargs={**(own.get("env_kwargs") or {}), **more})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -248,6 +248,7 @@ class Training:
             view="arm",
             engine=read_attribute(self._env, "engine"),
             body=read_attribute(self._env, "unperturbed"),
+            context=read_attribute(self._env, "context_scale") or [],
             **inputs,
         )
         return network, card

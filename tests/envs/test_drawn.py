@@ -194,6 +194,31 @@ def test_the_context_is_observed_within_one():
     assert observation in goal.observation_space
 
 
+@pytest.mark.parametrize(
+    ("name", "shown"),  # chosen locks, chosen mass; joint, mass, delay, rotation, longer
+    [
+        ("random", [0, 0, 0, 0, -1, 0, -0.5]),
+        ("rotation-90", [0, 0, 0, 0, -1, 1.5, -0.5]),
+        ("shorter-10+locks-2-known", [1, 0, 0, 0, -1, 0, -1]),
+        ("delay-160+hand-mass-6+force-field-30", [0, 1, 0, 3, 1, 0, -0.5]),
+        ("rotation-15..15.1+locks-3", [1, 0, 1, 0, -1, 0.25, -0.5]),
+    ],
+)
+def test_a_context_is_observed_on_a_given_scale(name, shown):
+    mixture = OneOf("locks-1..3", HandMass(uniform(0, 3)), None)
+    scale = [mixture, "delay-0..160", "rotation--60..60", "longer--10..30"]
+    single, many = (
+        mmc_gym.make(name, observe_context=scale),
+        mmc_gym.make_vec(name, 2, observe_context=scale),
+    )
+    observation, _ = single.reset(seed=0)
+    assert observation in single.observation_space
+    for observed in (observation, *many.reset(seed=0)[0]):
+        np.testing.assert_allclose(observed[15:], shown, atol=2e-3)
+    with pytest.raises(UserError, match="observe_context must be True, or perturbations from"):
+        mmc_gym.make(name, observe_context="rotation-30")
+
+
 def test_a_drawn_environment_is_copied():
     env = mmc_gym.make("longer--30..35+joint-noise-0..0.05+rotation--60..60")
     env.reset(seed=0)

@@ -14,7 +14,12 @@ import torch
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import load_policy
+from mmc_gym.agents.resolver import resolve
+from mmc_gym.benchmark.suite import Arms, make_player, play_episodes
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.scenarios import parse_scenario
+from mmc_gym.interface import CannotActError
+from mmc_gym.measures import run_episodes
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
@@ -259,6 +264,32 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
     for same in (mmc_gym.make_agent(str(saved), env), kept):
         np.testing.assert_array_equal(action, same.predict(observation, deterministic=True)[0])
+
+
+def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
+    file = tmp_path / "ppo-given.yml"
+    file.write_text(
+        "MMCReach-v0:\n  perturbations: [rotation--60..60, {one_of: [locks-1..3, null]}]\n"
+        "  env_kwargs: {observe_context: true}\n  policy: MlpPolicy\n"
+        "  n_timesteps: 400\n  n_envs: 4\n  n_steps: 100\n  batch_size: 100\n"
+    )
+    card = module.train(file, out=tmp_path).card
+    scale = ["rotation--60..60", {"one_of": ["locks-1..3", None], "weights": [1.0, 1.0]}]
+    assert card.context == card.hyperparameters["env_kwargs"]["perturbations"][:1] + scale[1:]
+    agent = resolve(str(tmp_path))
+    assert agent.knowledge.senses.endswith("what was drawn for the episode")
+    scenario = parse_scenario("rotation-90+locks-2-known")
+    env, player = make_player(agent, scenario)
+    assert env.reset()[0][-3:].tolist() == [1.5, 1.0, 0.0]
+    together = play_episodes(Arms(scenario), env, player, [5, 6])
+    for one, other in zip(run_episodes(player, env, [5, 6]), together, strict=True):
+        np.testing.assert_array_equal(one.hands, other.hands)
+    with pytest.raises(CannotActError, match=r"with observe_context=\['rotation--60..60', "):
+        mmc_gym.make_agent(str(tmp_path), gym.make("MMCReach-v0"))
+    mmc = mmc_gym.make_agent("mmc", env)  # ignores it
+    plain, _ = scenario.make().reset(seed=1)
+    action = mmc_gym.make_agent("mmc", scenario.make()).predict(plain)[0]
+    np.testing.assert_array_equal(mmc.predict(env.reset(seed=1)[0])[0], action)
 
 
 def test_wrong_types_of_arguments_are_named():
