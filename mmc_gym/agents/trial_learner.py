@@ -39,7 +39,8 @@ class LearnerState(NamedTuple):
     """What n learners know, and the movement that goes on, if any."""
 
     learned: tuple[Any, ...]  # whatever `learn` returns, of each
-    randoms: tuple[np.random.Generator, ...]  # of planning noise
+    randoms: tuple[np.random.Generator, ...]  # of noise
+    noise: NDArray[np.float64]  # how noisy each is, 1 without a spread, (n,)
     movement: Movement | None = None
 
 
@@ -58,7 +59,11 @@ class TrialLearner(Agent[LearnerState]):
     """
 
     initial: Any = 0.0  #: the state before the first trial
-    noise: float = 0.0  #: standard deviation of the planned direction, degrees (van Beers 2009)
+    #: standard deviation of the planned direction, degrees (van Beers 2009)
+    planning_noise: float = 0.0
+    #: that of each command, as a share of it (Harris & Wolpert 1998)
+    motor_noise: float = 0.0
+    noise_spread: float = 0.0  #: how subjects differ in both: standard deviation, as a share
     vigour: float = 0.0  #: 0 as people move, 1 as fast as servos allow
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -86,10 +91,18 @@ class TrialLearner(Agent[LearnerState]):
         del seconds
         return state
 
+    def first(self, random: np.random.Generator) -> Any:
+        """Return a subject's state before its first trial, `initial`; may draw what is its own."""
+        del random
+        return self.initial
+
     @override
     def begin(self, seeds: Sequence[int]) -> LearnerState:
         randoms = tuple(np.random.default_rng(seed) for seed in seeds)
-        return LearnerState((self.initial,) * len(randoms), randoms)
+        noise = np.ones(len(randoms))
+        if self.noise_spread:  # else nothing is drawn
+            noise += [self.noise_spread * one.standard_normal() for one in randoms]
+        return LearnerState(tuple(map(self.first, randoms)), randoms, np.maximum(noise, 0.0))
 
     @override
     def between_trials(self, state: LearnerState | None, rest: float = 0.0) -> LearnerState | None:
@@ -101,7 +114,7 @@ class TrialLearner(Agent[LearnerState]):
         errors = np.where(is_seen, np.degrees(np.angle(moved * way.conj())), 0.0).tolist()
         learned = (self.learn(*pair) for pair in zip(errors, state.learned, strict=True))
         after = tuple(self.rest(rest, one) if rest else one for one in learned)
-        return LearnerState(after, state.randoms)
+        return LearnerState(after, state.randoms, state.noise)
 
     @override
     def predict(
@@ -122,8 +135,8 @@ class TrialLearner(Agent[LearnerState]):
             starts = np.ones(len(rows.joint_angles), bool)
             if not begins:  # a new episode, whose learner knows nothing
                 starts &= np.asarray(episode_start, bool).reshape(-1)
-                known = zip(starts, state.learned, strict=True)
-                learned = tuple(self.initial if one else kept for one, kept in known)
+                known = zip(starts, state.learned, state.randoms, strict=True)
+                learned = tuple(self.first(own) if one else kept for one, kept, own in known)
                 state = state._replace(learned=learned)
             movement = new if begins else where(starts, new, state.movement)
             state = state._replace(movement=movement)
@@ -132,6 +145,10 @@ class TrialLearner(Agent[LearnerState]):
         of, felt = state.movement, self._felt(rows)
         aimed = Seen(rows.joint_angles, as_vectors(of.aim), rows.joint_speeds, as_vectors(felt))
         action, body = self.body.respond(of.body, aimed)
+        if self.motor_noise:
+            scale = self.motor_noise * state.noise[:, None]
+            normal = [one.standard_normal(action.shape[-1]) for one in state.randoms]
+            action = np.clip(action * (1 + scale * normal), -1, 1)
         moved = of._replace(body=body, seen=as_points(rows.hand).copy())
         action = interface.checked_action(action, rows.joint_angles.shape[:-1])
         return action.reshape(*batch, action.shape[-1]), state._replace(movement=moved)
@@ -157,7 +174,8 @@ class TrialLearner(Agent[LearnerState]):
         aim = of.aim.copy()
         for arm in np.flatnonzero(appears):
             planned = self.aim(float(np.degrees(np.angle(way[arm]))), state.learned[arm])
-            planned += self.noise * state.randoms[arm].standard_normal()
+            noise = self.planning_noise * state.noise[arm]
+            planned += noise * state.randoms[arm].standard_normal()
             aim[arm] = of.begin[arm] + np.abs(way[arm]) * np.exp(1j * np.radians(planned))
         shown = np.where(appears, target, of.target)
         return state._replace(movement=of._replace(aim=aim, target=shown))

@@ -29,6 +29,7 @@ from mmc_gym._errors import UserError, require, require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, estimate_cell, print_table
+from mmc_gym.agents.body_model.parts import LEARNED
 from mmc_gym.benchmark.statistics import expanded_tails, percentile_interval, resampled_means
 from mmc_gym.experiments.adaptation import (
     OF_ADAPTATION,
@@ -45,6 +46,7 @@ RESAMPLES = 500
 CYCLE = 4  # trials to a point of the figure
 METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
 MARKERS = "osD^vP"
+_OFF = ("inf", "0")  # of width, largest error and noise, as by default
 
 LengthUnit: TypeAlias = Literal["lengths", "m"]
 
@@ -75,13 +77,15 @@ class ExperimentResult:
 
     @property
     def settings(self) -> dict[str, str]:
-        """The rate and retention of each agent that has them, and which keep all, in words."""
+        """What each agent learns with, if it does, and which keep all, in words."""
         found = {}
         for agent, own in self.trials.groupby("agent", sort=False):
-            each = {name: own[name].unique().tolist() for name in ("rate", "retention", "width")}
-            if own["width"].iloc[0] == "inf":  # in all directions, as by default
-                each.pop("width")
-            texts = [f"{name} {_span(values)}" for name, values in each.items() if values[0]]
+            each = {name: own[name].unique().tolist() for name in LEARNED if "spread" not in name}
+            texts = [
+                f"{name} {_span(values)}"
+                for name, values in each.items()
+                if values[0] and (name in ("rate", "retention") or values[0] not in _OFF)
+            ]
             found[str(agent)] = ", ".join(texts + ["keeps all"] * bool(own["keeps_all"].iloc[0]))
         return found
 
@@ -122,7 +126,8 @@ class ExperimentResult:
 
 def _span(values: Sequence[str]) -> str:
     """Return one setting of all subjects, or between which they differ."""
-    return values[0] if len(values) == 1 else f"{min(values)} to {max(values)}"
+    first = sorted(values, key=lambda text: float(text.split(",")[0]))
+    return first[0] if len(first) == 1 else f"{first[0]} to {first[-1]}"
 
 
 def learning_table(

@@ -298,7 +298,7 @@ class Known(TrialLearner):
 
 
 class Noisy(Known):
-    noise = 4.0
+    planning_noise = 4.0
 
 
 def test_your_own_learner_moves_as_it_learns(tmp_path: Path) -> None:
@@ -324,6 +324,28 @@ def test_your_own_learner_moves_as_it_learns(tmp_path: Path) -> None:
     noisy = result.trials[(result.trials["agent"] == "noisy") & (result.trials["block"] == 0)]
     assert 1.5 < noisy["hand_angle"].std() < 8.0
     assert not run_experiment(experiment, {"noisy": Noisy}, 1, jobs=1).trials.empty
+
+
+class Differs(Known):
+    motor_noise, noise_spread = 0.1, 0.3
+
+    def first(self, random):
+        return random.normal(0.0, 20.0)
+
+
+def test_subjects_may_be_noisy_and_differ_and_are_the_same_however_many_there_are() -> None:
+    agents = {"plain": "mmc-body", "plans": "mmc-body", "moves": "mmc-body", "own": Differs}
+    noise = {"plans": {"planning_noise": 4.0, "noise_spread": 0.3}, "moves": {"motor_noise": 0.1}}
+    experiment = Experiment("noisy", (Block("baseline", 12, targets=(90.0,)),))
+    result = run_experiment(experiment, agents, 3, learners=noise, jobs=1)
+    rows = result.trials.groupby("agent")
+    scatter = rows["early_hand_angle"].std()
+    assert scatter["plain"] < 0.1 and 2.5 < scatter["plans"] < 6.0 and scatter["own"] > 8.0
+    assert 1.0 < scatter["moves"] < 5.0
+    assert rows["planning_noise"].nunique()["plans"] == 3
+    assert "planning_noise" in result.settings["plans"] and "noise" not in result.settings["plain"]
+    fewer = run_experiment(experiment, agents, 2, learners=noise, jobs=1)
+    assert np.array_equal(fewer.hands, result.hands[(result.trials["subject"] < 2).to_numpy()])
 
 
 def test_a_learner_is_told_no_error_where_the_cursor_is_at_rest() -> None:

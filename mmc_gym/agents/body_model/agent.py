@@ -128,6 +128,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         joint_targets, state = self._drive(state, problem)
         now = Seen(problem.joint_angles, seen.target, speeds, seen.hand)
         action = self.interface.act(joint_targets, now)
+        if self.learns:
+            action = state.memory.disturbed(action, state.looks)
         if self.has_own_act:
             state = state._replace(response=state.response.record(action))
         return action, state
@@ -231,7 +233,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             now = np.where(held, locks.place, now)
         ahead = delay.late + delay.lag + LAG
         body = self._body(state, ahead)
-        aim = within_reach(body.felt(state.senses.target.predict(ahead)), body.lengths)
+        aim = body.felt(state.senses.target.predict(ahead))
+        aim = within_reach(state.memory.aimed(aim) if self.learns else aim, body.lengths)
         return ReachProblem(now, aim, body.lengths, held)
 
     def _plan_route(self, state: BodyState, problem: ReachProblem) -> Route:

@@ -21,11 +21,18 @@ By default a belief holds in all directions, and is learned from errors of any s
 people, there may be one for each direction θ of the target: what a movement towards θ' shows counts
 at θ by exp(−(θ − θ')²/2σ²), and an angle above a largest error counts as that (`Parts.width` is σ).
 
+Subjects may be noisy.  The aim of a movement is turned about its begin by an angle that is drawn
+for the movement, and each command is multiplied by 1 + s z, with a standard normal z for each joint
+and control step.  Draws follow from the subject's seed and the numbers of movement and step.
+
 Literature: M. A. Smith, A. Ghazizadeh, R. Shadmehr (2006), Interacting adaptive processes with
 different timescales underlie short-term motor learning, PLoS Biol. 4, e179.  J. W. Krakauer et al.
 (2000), Learning of visuomotor transformations for vectorial planning of reaching trajectories, J.
 Neurosci. 20, 8916–8924.  H. E. Kim et al. (2018), Invariant errors reveal limitations in motor
-correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.
+correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.  R. J. van Beers
+(2009), Motor learning is optimally tuned to the properties of motor noise, Neuron 63, 406–417.
+C. M. Harris, D. M. Wolpert (1998), Signal-dependent noise determines motor planning, Nature 394,
+780–784.
 """
 
 from __future__ import annotations
@@ -37,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import where
+from mmc_gym.agents.base import some, where
 from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
@@ -68,6 +75,9 @@ class Memory(NamedTuple):
     drift: Points  # Σ v w̄
     rate: Floats  # B of each state, (n, states)
     retention: Floats  # A, likewise
+    noise: Floats  # standard deviations of plans, radians, and of commands, a share, (n, 2)
+    draw: NDArray[np.int64]  # seed of the noise, and number of the movement, (n, 2)
+    plan: Points  # the turn by which the present movement is aimed off
 
     @classmethod
     def start(cls, arms: int, joints: int, parts: Parts, subjects: Sequence[Parts] = ()) -> Memory:
@@ -81,8 +91,12 @@ class Memory(NamedTuple):
         shape = arms, len(parts.rate)
         rate = np.array([one.rate for one in learners]).reshape(shape)
         retention = np.array([one.retention for one in learners]).reshape(shape)
+        noise = [(math.radians(one.planning_noise), one.motor_noise) for one in learners]
+        spread = np.array(noise).reshape(arms, 2)
+        draw = np.array([(one.noise_seed, 0) for one in learners], np.int64).reshape(arms, 2)
         towards, origin = np.zeros(arms, np.int64), np.zeros(arms, complex)
-        return cls(states, towards, origin, origin, origin, origin, origin, rate, retention)
+        places = origin, origin, origin, origin, origin
+        return cls(states, towards, *places, rate, retention, spread, draw, origin + 1)
 
     @property
     def belief(self) -> Floats:
@@ -106,7 +120,22 @@ class Memory(NamedTuple):
         felt = hand(joint_angles, given + new.belief[:, :-2])
         shift, zero = seen - new.turn * felt, np.zeros_like(felt)
         new = new._replace(shift=shift, begin=felt, place=felt, intended=zero, drift=zero)
+        if some(self.noise):
+            draw = self.draw + np.array([0, 1])
+            angle = self.noise[:, 0] * _normal(draw, np.zeros(len(draw)), 1)[:, 0]
+            new = new._replace(draw=draw, plan=np.exp(1j * angle))
         return where(begins, new, self)
+
+    def aimed(self, aim: Points) -> Points:
+        """Return where a movement is planned to end, for an aim."""
+        return self.begin + (aim - self.begin) * self.plan if some(self.noise) else aim
+
+    def disturbed(self, action: NDArray[np.float32], looks: Floats) -> NDArray[np.float32]:
+        """Return a command with its noise, in the control step of so many looks, (n,)."""
+        if not some(self.noise[:, 1]):
+            return action
+        noisy = action * (1 + self.noise[:, 1:] * _normal(self.draw, looks, action.shape[-1]))
+        return np.clip(noisy, -1, 1).astype(np.float32)
 
     def as_given(self, seen: Points, joint_angles: Floats) -> Points:
         """Return where a hand of the given body would be if this one is seen here: x̃."""
@@ -151,6 +180,12 @@ class Memory(NamedTuple):
         retention, rate = self.retention[..., None, None], self.rate[..., None, None]
         learned = retention * self.states + rate * error
         return self._replace(states=retention**rest * learned)
+
+
+def _normal(draw: NDArray[np.int64], step: Floats, count: int) -> Floats:
+    """Return standard normal numbers of each arm for a control step of its movement, (n, count)."""
+    seeds = ((*map(int, own), int(at)) for own, at in zip(draw, step, strict=True))
+    return np.array([np.random.default_rng(one).standard_normal(count) for one in seeds])
 
 
 def _share(turn: Points, parts: Parts) -> Floats:

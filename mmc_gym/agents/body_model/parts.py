@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -41,12 +42,19 @@ class Parts:
     #: standard deviation of a Gaussian, degrees
     width: float = math.inf
     largest_error: float = math.inf  #: larger errors count as this angle, degrees
+    #: of the direction that a movement is planned in: standard deviation, degrees (van Beers 2009)
+    planning_noise: float = 0.0
+    #: of commands, as a share of each: it grows with the command (Harris & Wolpert 1998)
+    motor_noise: float = 0.0
+    noise_spread: float = 0.0  #: how subjects differ in both: standard deviation, as a share
+    noise_seed: int = 0  #: of their draws; that of a subject is drawn
 
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"
         require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
-        for name in ("rate_spread", "retention_spread"):
+        for name in ("rate_spread", "retention_spread", "motor_noise", "noise_spread"):
             require_between(0, 1, **{name: getattr(self, name)})
+        require_between(0, 180, planning_noise=self.planning_noise)
         for name in ("width", "largest_error"):
             require_number(name, getattr(self, name), "positive", lambda number: number > 0)
         accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
@@ -60,24 +68,39 @@ class Parts:
 
     @cached_property
     def learns(self) -> bool:
-        """Whether anything is learned from movement to movement."""
-        return any(self.retention) or sum(self.rate) < 1
+        """Whether anything lasts from movement to movement: what is learned, or draws of noise."""
+        return any(self.retention) or sum(self.rate) < 1 or self.is_noisy
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether plans or commands are noisy."""
+        return self.planning_noise > 0 or self.motor_noise > 0
 
     def drawn(self, random: np.random.Generator) -> Parts:
-        """Return the parts of a subject, whose rate and retention are drawn about these."""
+        """Return the parts of a subject, whose rate, retention and noise are drawn about these."""
         normal = random.standard_normal((2, len(self.rate)))
         rate = np.clip(self.rate * (1 + self.rate_spread * normal[0]), 0, 1)
         retention = np.clip(self.retention + self.retention_spread * normal[1], 0, 1)
         rate /= max(1.0, rate.sum())
-        return replace(self, rate=tuple(rate.tolist()), retention=tuple(retention.tolist()))
+        own: dict[str, Any] = {
+            "rate": tuple(rate.tolist()),
+            "retention": tuple(retention.tolist()),
+        }
+        if self.is_noisy:
+            factor = max(0.0, 1 + self.noise_spread * random.standard_normal())
+            own["planning_noise"] = min(180.0, factor * self.planning_noise)
+            own["motor_noise"] = min(1.0, factor * self.motor_noise)
+            own["noise_seed"] = int(random.integers(2**32))
+        return replace(self, **own)
 
 
 def _are_shares(numbers: tuple[float, ...]) -> bool:
     return len(numbers) > 0 and all(0 <= number <= 1 for number in numbers)
 
 
-LEARNED = ("rate", "retention", "rate_spread", "retention_spread", "width", "largest_error")
-"""The fields that say how it learns from movement to movement."""
+NOISE = ("planning_noise", "motor_noise", "noise_spread")
+LEARNED = ("rate", "retention", "rate_spread", "retention_spread", "width", "largest_error", *NOISE)
+"""The fields that say how it learns from movement to movement, and how noisy it is."""
 
 ALL_PARTS = Parts()
 """The parts of an agent by default."""
