@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from mmc_gym._errors import UserError
+from mmc_gym.agents.body_model.parts import LEARNED
 from mmc_gym.benchmark.statistics import resampled_means
 from mmc_gym.experiments.adaptation import learning_of
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
@@ -51,10 +52,8 @@ def played(turn, subjects=6, family="rotation", known_as=""):
             "subject": np.repeat(np.arange(subjects), len(schedule)),
             "trial": list(range(len(schedule))) * subjects,
             "target_angle": angles.ravel(),
-            "rate": "",
-            "retention": "",
-            "width": "",
             "keeps_all": False,
+            **dict.fromkeys(LEARNED, ""),
         }
     )
     return ExperimentResult(
