@@ -169,8 +169,8 @@ class HingeNetwork:
         Args:
             position: of the hand, seen from the base, (..., 3).
             rotation: of the hand, (..., 3, 3); orthogonal within 1e-6.
-            held: angles (...) of joints that do not move, by index or name of the joint; a locked
-                joint, or all of them for the forward task.
+            held: angles (...) of joints that do not move, within their limits, by index or name of
+                the joint; a locked joint, or all of them for the forward task.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
         """
         arm, held, points = self.arm, held or {}, points or {}
@@ -191,7 +191,12 @@ class HingeNetwork:
         tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
         tasks["low"], tasks["high"] = arm.limits.T
         tasks["wanted"] = turn
-        for joint, angle in angles.items():
+        for (joint, angle), given in zip(angles.items(), held.values()):
+            low, high = arm.limits[joint]
+            accepted = (
+                f"within the limits of {arm.joint_names[joint]!r}, {low:.4g} to {high:.4g} rad"
+            )
+            require(bool((angle == angle.clip(low, high)).all()), "held", given, accepted)
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
             tasks["place"][..., node, :] = place

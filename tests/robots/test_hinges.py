@@ -195,6 +195,14 @@ def test_a_joint_is_held_by_its_name_or_its_index():
     assert by_name.tasks.tobytes() == by_index.tasks.tobytes()
 
 
+@pytest.mark.parametrize("angle", [90, [-1.0, 0.5], np.nextafter(PANDA.limits[3, 1], 9)])
+def test_a_joint_is_held_within_its_limits(angle):
+    said = "held .* within the limits of 'panda_joint4', -3.072 to -0.0698 rad, got"
+    with pytest.raises(UserError, match=said):
+        HingeNetwork(PANDA).clamp(held={3: angle})
+    assert HingeNetwork(PANDA).clamp(held={3: PANDA.limits[3]}).tasks["low"][:, 3].size == 2
+
+
 def test_a_target_out_of_reach_gives_the_stretched_arm():
     arm = HingeArm.named("ur5")
     solution = HingeNetwork(arm).solve([3.0, 0.0, 0.089159], starts=16)

@@ -188,7 +188,8 @@ def settle_network(
     """Let the network settle from each start: a `SpatialModel`."""
     network = HingeNetwork(arm, damping=0.7 * arm.joint_count, velocity_decay=0.5)
     targets = np.tile(target, (len(starts), 1))
-    places = {int(joint): starts[:, joint] for joint in np.flatnonzero(held)}
+    within = np.clip(starts, *arm.limits.T)  # what is sensed may be noisy
+    places = {int(joint): within[:, joint] for joint in np.flatnonzero(held)}
     near = tolerance, 1.0
     return network.solve(targets, start=starts, held=places, starts=1, tolerance=near).joint_angles
 
