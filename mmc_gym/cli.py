@@ -265,6 +265,7 @@ def adapt(
     seed: Number = 0,
     out: Place = Path("runs/adapt"),
     jobs: OtherNumber = None,
+    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents learn over the trials of an experiment; print a table, write data and figure.
@@ -281,6 +282,7 @@ def adapt(
         seed: Seed of the subjects.
         out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
+        wrapper: Of models, see compare.
     """
     import pandas as pd
 
@@ -304,6 +306,7 @@ def adapt(
             learners=None if learners is None else read_yaml_file(learners),
             keep=keep,
             jobs=jobs,
+            wrapper=wrapper,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             **shared,
         )

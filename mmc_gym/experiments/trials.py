@@ -38,7 +38,7 @@ from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import LEARNED, Parts
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, resolve_all
+from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.experiments.adaptation import BEFORE_FEEDBACK
@@ -66,6 +66,7 @@ class Player(NamedTuple):
     control_step: float  #: s
     tolerance: float  #: of success, segment lengths
     has_parts: bool  #: whether it learns as `parts` say; yours stay as you made them
+    takes_batches: bool  #: whether it plays many trials at once: an `Agent` without a wrapper
 
 
 @dataclass(frozen=True)
@@ -127,16 +128,17 @@ class TrialsCell:
             if entry is not None and isinstance(agent, BodyAgent):
                 parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
                 agent = entry.build(agent.interface, parts=parts, subjects=self.learners)
-        return Player(agent, control, arm.control_step, tolerance, has_parts)
+        takes_batches = isinstance(agent, Agent) and self.agent.wrapper is None
+        return Player(agent, control, arm.control_step, tolerance, has_parts, takes_batches)
 
     def environment(self, player: Player, condition: Condition, arms: int) -> Any:
         """Make the environment of trials of a condition, with several arms for an `Agent`."""
         steps = round(self.experiment.seconds / player.control_step)
         arguments = {**self.arguments, **self.agent.arguments, "max_episode_steps": steps}
         scenario = self.experiment.scenario(condition, **arguments)
-        if isinstance(player.agent, Agent):
+        if player.takes_batches:
             return scenario.make_vec(arms, player.control)
-        return scenario.make(player.control)  # it may take no batches
+        return self.agent.wrapped(scenario.make(player.control))
 
 
 def _stem(agent: str, settings: Mapping[str, Any]) -> str:
@@ -253,7 +255,7 @@ def run_cell(cell: TrialsCell) -> bytes:
     """Play a cell, and return its file."""
     player = cell.player()
     session, subjects = _Session(cell, player), range(len(cell.subjects))
-    if not isinstance(player.agent, Agent):
+    if not player.takes_batches:
         for subject in subjects:
             session.play_in_turn(cell.player().agent, [subject])
     elif cell.keeps_all or player.agent.learns:
@@ -307,6 +309,7 @@ def run_experiment(
     jobs: int | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
+    wrapper: Wrappers = (),
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ExperimentResult:
     """Let agents go through an experiment, each as several subjects.
@@ -328,6 +331,7 @@ def run_experiment(
         jobs: how many cells are played at once, see `run_grid`.
         env_kwargs: arguments of the environment, as in `compare`.
         allow_pickle: as in `compare`.
+        wrapper: as in `compare`.
         on_progress: called with the number of cells that are done, and of all.
 
     >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
@@ -338,7 +342,7 @@ def run_experiment(
     for name in SET_BY_SCENARIOS:
         if name in given:
             raise UserError(f"{name} must be left out of env_kwargs: the experiment sets it")
-    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
+    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])
     folder = None if out is None else check_folder(out, "out") / TRIALS

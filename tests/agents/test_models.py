@@ -26,10 +26,13 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import kept_cells
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import parse_scenario
+from mmc_gym.experiments.experiment import Block, Experiment
+from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.interface import CannotActError, ControlError
 
 CONTROL = "joint_velocity"
 TWICE = np.float32([-2.0, 2.0])
+TWO_TRIALS = Experiment(name="two", blocks=(Block("baseline", 2),))
 TINY = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": [4]}}
 
 
@@ -160,6 +163,14 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
             observation, _, _, infos = env.step(model.predict(observation, deterministic=True)[0])
         expected = infos[0]["end_effector"]
         np.testing.assert_allclose(found.recorded[label][0].hands[99], expected, atol=1e-4)
+    # In an experiment, as wrapped by hand; the wrapper belongs to the settings.
+    learned = run_experiment(TWO_TRIALS, {"sb3": models["sb3"]}, subjects=1, wrapper=stacked)
+    trial = learned.trials.iloc[0]
+    env = stacked(TWO_TRIALS.scenario().make())
+    observation, _ = env.reset(seed=1, options={"trial": int(trial["target_angle"] // 45)})
+    for _ in range(3):
+        observation, *_, info = env.step(models["sb3"].predict(observation, deterministic=True)[0])
+    np.testing.assert_allclose(learned.hands[0][3], info["end_effector"], atol=1e-4)
     # By files, and in a benchmark, which notices another wrapper.
     for label, model in models.items():
         model.save(tmp_path / label)
