@@ -25,7 +25,9 @@ Episodes of one policy are never drawn as if each came from its own training.
     shares        The share of episodes that a single policy succeeds in, in one environment, has
                   Wilson's interval instead: after 0 of 20 a bootstrap gives [0, 0], Wilson's is
                   [0, 0.16].  In several environments it has the mean of these if no resample
-                  differs, as all episodes of each environment are alike.
+                  differs, as all episodes of each environment are alike.  Two shares whose
+                  episodes differ alike in all n pairs may differ otherwise in as many as Wilson's
+                  interval of 0 of n says: after 20 equal pairs [−0.16, 0.16].
 
 A plain sample is the simplest case: one policy in one environment (`sample_interval`).
 
@@ -194,19 +196,32 @@ class Bootstrap:
         """
         found = Estimate.of(self.distribution(agent, statistic))
         tables = self.scores.values[agent]
-        is_alone = len(tables[0]) == 1 and (len(tables) == 1 or found.low == found.high)
-        if not (is_alone and statistic == "mean" and math.isfinite(found.low)):
+        if (len(tables) > 1 and found.low != found.high) or not self._is_share(agent, statistic):
             return found
         known = [table[~np.isnan(table)] for table in tables]
-        if not np.isin(np.concatenate(known), (0.0, 1.0)).all():
-            return found
         ends = [wilson_interval(float(one.mean()), len(one)) for one in known if len(one)]
         return Estimate(found.estimate, *np.mean(ends, axis=0).tolist())
 
     def difference(self, agent: str, other: str, statistic: Statistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""
         one, less = (self.distribution(name, statistic) for name in (agent, other))
-        return Estimate.of(one - less)
+        found = Estimate.of((one - less).round(12))  # the order of sums makes no difference
+        are_shares = all(self._is_share(name, statistic) for name in (agent, other))
+        if found.low != found.high or not are_shares:
+            return found
+        hidden = float(np.mean([wilson_interval(0.0, n)[1] for n in self.scores.instances]))
+        return Estimate(found.estimate, max(-1.0, found.low - hidden), min(1.0, found.low + hidden))
+
+    def _is_share(self, agent: str, statistic: Statistic) -> bool:
+        """Return whether a statistic is the share of the successes of a single policy."""
+        tables = self.scores.values[agent]
+        values = np.concatenate([table.ravel() for table in tables])
+        return bool(
+            statistic == "mean"
+            and len(tables[0]) == 1
+            and self._varies(agent)
+            and np.isin(values[~np.isnan(values)], (0.0, 1.0)).all()
+        )
 
     def improvement(self, agent: str, other: str) -> Estimate:
         """Estimate the probability that a policy of `agent` scores higher than one of `other`.

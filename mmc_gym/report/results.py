@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,7 @@ from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
 from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
-from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap, Estimate
+from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
@@ -32,7 +32,6 @@ from mmc_gym.benchmark.store import (
 from mmc_gym.envs.names import BASELINE
 from mmc_gym.measures import Measure, leave_out_failures
 from mmc_gym.measures.catalogue import measures_of
-from mmc_gym.measures.episode import Floats
 
 REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
 
@@ -111,13 +110,6 @@ class Environment:
     control_step: float = math.nan  #: seconds
     segment_lengths: tuple[float, ...] = ()  #: of the arm that agents are given
     tolerance: float = math.nan  #: distance from the target that counts as success, segment lengths
-
-
-class Success(NamedTuple):
-    """The success of an agent in a scenario."""
-
-    estimate: Estimate
-    resampled: Floats  #: in the data, then in each resample, for differences to other agents
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,26 +197,19 @@ class Results:
         return self._replayed_failures.get((agent, environment), [])[:REPLAYED_INSTANCES]
 
     @cached_property
-    def successes(self) -> dict[str, dict[str, Success]]:
-        """For `ALL` and each scenario, the success of each agent that attempted it."""
+    def successes(self) -> dict[str, Bootstrap]:
+        """For `ALL` and each scenario, the success of the agents that attempted it."""
         scores = attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
         frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
         if not self.ranking.empty and len(frames) > 1:
             frames[ALL] = ranked_scores(scores)
-        found = {}
-        for name in (ALL, *self.environments):
-            if name in frames:
-                # As many as the ranking has, so that both say the same.
-                resamples = self.ranking_resamples if name == ALL else self.resamples
-                bootstrap = Bootstrap.of(frames[name], "success", resamples)
-                found[name] = {
-                    agent: Success(
-                        bootstrap.estimate(agent, "mean"),
-                        bootstrap.distribution(agent, "mean").round(12),
-                    )
-                    for agent in bootstrap.scores.values
-                }
-        return found
+        # As many of all as the ranking has, so that both say the same.
+        resamples = {ALL: self.ranking_resamples}
+        return {
+            name: Bootstrap.of(frames[name], "success", resamples.get(name, self.resamples))
+            for name in (ALL, *self.environments)
+            if name in frames
+        }
 
     @property
     def sample_sizes(self) -> str:

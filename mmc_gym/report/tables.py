@@ -15,7 +15,7 @@ from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.benchmark.suite import control_note
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.catalogue import PEOPLE, people, span
-from mmc_gym.report.results import Results, Success, count
+from mmc_gym.report.results import Results, count
 
 if TYPE_CHECKING:
     from mmc_gym.experiments.results import ExperimentResult
@@ -84,13 +84,13 @@ def scenario_table(results: Results, agent: str) -> Table:
     others = [one for one in results.agents if one not in (agent, REFERENCE)]
     rows, family = [], ""
     for name, found in results.successes.items():
-        if agent not in found:
+        if agent not in found.scores.values:
             continue
         look = "all"
         if name in results.environments:
             before, family = family, results.environments[name].family
             look = "begins" if family != before else ""
-        own = _share(*found[agent].estimate, look="mine")
+        own = _share(*found.estimate(agent), look="mine")
         rows.append(Row(name, (own, *(_compared(found, agent, one) for one in others)), look=look))
     against = (
         f" Below the success of each other agent: how much more or less {agent} has in the same "
@@ -108,18 +108,15 @@ def scenario_table(results: Results, agent: str) -> Table:
     )
 
 
-def _compared(found: Mapping[str, Success], agent: str, other: str) -> Cell:
-    """Return the cell of another agent: its success, and by how much that of `agent` differs.
-
-    `found` has the success of each agent that attempted the scenario.
-    """
-    if other not in found:
+def _compared(found: Bootstrap, agent: str, other: str) -> Cell:
+    """Return the cell of another agent: its success, and by how much that of `agent` differs."""
+    if other not in found.scores.values:
         return Cell("·")
-    gain = Estimate.of(found[agent].resampled - found[other].resampled)
+    gain = found.difference(agent, other)
     ends = f" [{_signed(gain.low)}, {_signed(gain.high)}]" if math.isfinite(gain.low) else ""
     look = "better" if gain.low > 0 else "worse" if gain.high < 0 else ""
     notes = (f"{_signed(gain.estimate)}{ends}",)
-    return Cell(_SUCCESS.number(found[other].estimate.estimate), notes, look=look)
+    return Cell(_SUCCESS.number(found.estimate(other).estimate), notes, look=look)
 
 
 def _signed(share: float) -> str:

@@ -150,8 +150,8 @@ def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle,
     headline, success, time, *_ = printed(terminal).splitlines()
     assert headline.startswith("success at the end: Oracle 100.0 %, mmc")
     assert success == (
-        "Oracle, success at the end: equal to mmc [0.0, 0.0]; "
-        "100.0 points higher than random [100.0, 100.0]"
+        "Oracle, success at the end: equal to mmc [−16.1, 16.1]; "
+        "100.0 points higher than random [83.9, 100.0]"
     )
     ours, theirs = (
         np.median([MEASURES["time_to_target"].of(one) for one in found.recorded[agent]])
@@ -170,7 +170,7 @@ def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
     assert found.agents == ["ik-dls", "random", "mmc"]
     first, *_, last = found.differences.splitlines()
     assert first.startswith("ik-dls, success at the end: ") and "mmc" in first and "random" in first
-    assert last == "random, success at the end: 100.0 points lower than mmc [100.0, 100.0]"
+    assert last == "random, success at the end: 100.0 points lower than mmc [43.9, 100.0]"
     with pytest.raises(UserError, match="did you mean 'ik-dls'"):
         compare(["mmc", "ik-dls"], focus="ik-dsl")
 

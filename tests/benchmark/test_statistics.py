@@ -138,6 +138,17 @@ def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     assert width(estimate(rows("a", values))) == pytest.approx(2 * 1.96 * error, rel=0.08)
 
 
+def test_shares_that_differ_in_no_pair_may_differ_in_what_so_many_pairs_hide():
+    ones, zeros, several = np.ones((1, 20)), np.zeros((1, 20)), np.ones((2, 20))
+    values = {"a": (ones,), "b": (ones,), "c": (zeros,), "d": (several,)}
+    bootstrap = Bootstrap(Scores((20,), values, dict.fromkeys(values, 0)), 100)
+    hidden = binomtest(0, 20).proportion_ci(method="wilson").high
+    assert bootstrap.difference("a", "b") == pytest.approx((0, -hidden, hidden))
+    assert bootstrap.difference("c", "a") == pytest.approx((-1, -1, hidden - 1))
+    assert bootstrap.difference("a", "d") == (0, 0, 0)  # trainings are resampled
+    assert bootstrap.difference("a", "b", "median") == (0, 0, 0)
+
+
 def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     values = np.random.default_rng(8).normal(size=(1, 30))
     e, f, g = rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]

@@ -39,7 +39,7 @@ def test_each_scenario_has_the_difference_to_every_other_agent_on_the_same_episo
     assert cell.text == f"{100 * expected.estimate('ppo', 'mean').estimate:.1f}"
     assert cell.notes[0].startswith(f"{100 * less.estimate:+.1f} [".replace("-", "−"))
     assert (cell.look, less.high < 0) == ("worse", True)
-    assert cells["random"]["mmc"][:2] == ("100.0", ("0.0 [0.0, 0.0]",))
+    assert cells["random"]["mmc"][:2] == ("100.0", ("0.0 [−21.5, +21.5]",))
     ranked = {row.name: row.cells[1].text for row in tables.ranking_table(results).rows}
     assert {name: cells["all scenarios"][name].text for name in ranked} == ranked
 
