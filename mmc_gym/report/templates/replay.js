@@ -69,8 +69,13 @@
     fastest = Math.max(0.1, ...views.flatMap((view) => view.movement.speed));
     slider.max = last;
     time = atEnd ? last : Math.min(time, last);
-    note.textContent = views.length === 0 ? "Choose an agent." : views.some((view) => view.movement.cursor)
-      ? "Agents see a cursor, the square on the dashed path, in place of the hand: distance and success are the cursor's." : "";
+    const missing = chosen.filter((name) => !Object.hasOwn(shown.agents, name)).join(", ");
+    note.textContent = [
+      chosen.length === 0 && "Choose an agent.",
+      missing && `Not kept: the path of ${missing}, as each has those of the first episodes and of its first failures.`,
+      views.some((view) => view.movement.cursor) &&
+        "Agents see a cursor, the square on the dashed path, in place of the hand: distance and success are the cursor's.",
+    ].filter(Boolean).join(" ");
     draw();
   }
 
