@@ -36,10 +36,6 @@ _SENSES = Noise | Cursor | Delay | Feedback | Timed
 _CORNERS, _SAMPLES = 64, 16  # of the draws that are tried when an environment is made
 
 
-class NoColumns(Exception):
-    """The perturbations of many arms cannot be computed as arrays."""
-
-
 class OneOf(Perturbation):
     """One of several perturbations, drawn for each episode; `None` is no change.
 
@@ -93,7 +89,7 @@ class Strength(NamedTuple):
     chosen: tuple[int, int] | None  #: place of the choice among options it needs, and its value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """A perturbation, and which of the drawn numbers are its fields."""
 
@@ -118,6 +114,11 @@ class Part:
         if self.places or self.chosen:
             vars(made)["known"] = False  # an agent is given its arm once
         return made
+
+    @cached_property
+    def is_alone(self) -> bool:
+        """Whether as an option it has to be left out where it is not chosen."""
+        return not _untimed(self.perturbation).neutral
 
     @cached_property
     def _ends(self) -> Any:
@@ -168,6 +169,7 @@ class Draws:
         """Collect the drawn numbers of these perturbations."""
         self.strengths: list[Strength] = []
         self._parts: list[Part] = []
+        self._unchanged: dict[Part, Perturbation] = {}  # of options that are not chosen
         for change in changes:
             one = change.perturbation
             if not isinstance(one, OneOf):
@@ -279,8 +281,7 @@ class Draws:
     def perturbations(self, numbers: Floats) -> list[Perturbation]:
         """Return the perturbations of one arm, from (m,), or of k arms as arrays, from (k, m).
 
-        Raises:
-            NoColumns: if those of k arms cannot be computed as arrays.
+        None of the k arms are alone.
         """
         is_one = numbers.ndim == 1
         columns = numbers.tolist() if is_one else [*np.ascontiguousarray(numbers.T).view(Drawn)]
@@ -289,15 +290,25 @@ class Draws:
             is_chosen: Any = True
             if part.chosen is not None:
                 is_chosen = columns[part.chosen[0]] == part.chosen[1]
-            made = part.make(columns)
-            has_neutral = bool(_untimed(made).neutral)
-            if part.chosen is not None and has_neutral:
-                found.append(made.grown(is_chosen * 1.0))
-            elif part.chosen is None or (is_one and is_chosen):
-                found.append(made)
-            elif not is_one:
-                raise NoColumns
+            if part.chosen is not None and part.is_alone:
+                if is_one and is_chosen:
+                    found.append(part.make(columns))
+            elif is_one and not is_chosen:
+                if part not in self._unchanged:
+                    self._unchanged[part] = part.make(columns).grown(0.0)
+                found.append(self._unchanged[part])
+            else:
+                made = part.make(columns)
+                found.append(made if part.chosen is None else made.grown(is_chosen * 1.0))
         return found
+
+    def are_alone(self, numbers: Floats) -> NDArray[np.bool_]:
+        """Return which of k arms, from (k, m), cannot be computed as arrays."""
+        alone = np.zeros(len(numbers), dtype=bool)
+        for part in self._parts:
+            if part.chosen is not None and part.is_alone:
+                alone |= numbers[:, part.chosen[0]] == part.chosen[1]
+        return alone
 
     def samples(self) -> Floats:
         """Return rows of numbers that may be drawn, (n, m): the middle, extremes and others."""

@@ -241,7 +241,16 @@ class Obstacles(Perturbation):
 
 
 class Noise(Perturbation, ABC):
-    """Noise of the senses, white in time and normally distributed."""
+    """Noise of the senses, white in time and normally distributed.
+
+    As long as it is 0, nothing is drawn.
+    """
+
+    @property
+    def is_heard(self) -> Any:
+        """Whether it is not 0: a bool, or (n,) of n arms."""
+        pairs = [getattr(self, name) != none for name, none in self.neutral.items()]
+        return reduce(np.logical_or, pairs) if pairs else True
 
     @abstractmethod
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:

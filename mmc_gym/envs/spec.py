@@ -33,7 +33,7 @@ from mmc_gym._errors import (
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.drawn import Draws, NoColumns, OneOf, senses_of
+from mmc_gym.envs.drawn import Draws, OneOf, senses_of
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Channel,
@@ -191,10 +191,10 @@ class ReachSetup:
         if self.draws is not None:
             self._try_draws(self.draws)
 
-    def _perturb(self, changes: Sequence[Change]) -> None:
+    def _perturb(self, changes: Sequence[Change], is_checked: bool = True) -> None:
         """Apply perturbations whose numbers are known."""
         self.perturbations = tuple(one.perturbation for one in changes)
-        self._change_arm(changes)
+        self._change_arm(changes, is_checked)
         plain = Perturbation.change_body
         #: those that change the arm within an episode
         self.loads = [
@@ -205,11 +205,11 @@ class ReachSetup:
         self._disturb_senses(changes)
         self._find_workspace()
 
-    def episode(self, numbers: NDArray[np.float64]) -> ReachSetup:
+    def episode(self, numbers: NDArray[np.float64], is_checked: bool = False) -> ReachSetup:
         """Return the setup of an episode that has drawn these numbers, (m,)."""
         assert self.draws is not None
         one = copy(self)
-        one._perturb([*map(Change, self.draws.perturbations(numbers))])
+        one._perturb([*map(Change, self.draws.perturbations(numbers))], is_checked)
         return one
 
     def context_of(self, numbers: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -229,7 +229,7 @@ class ReachSetup:
         every = []
         for numbers in samples:
             try:
-                every.append(one := self.episode(numbers))
+                every.append(one := self.episode(numbers, is_checked=True))
                 one.task.check(one.workspace)
                 one.draw_trial(np.random.default_rng(0), Options())
                 if one.body != every[0].body or len(every) == 1:
@@ -254,8 +254,11 @@ class ReachSetup:
         self.is_sight_disturbed = self.is_sight_disturbed or bool(self.vision_delay)
         is_clipped = bool(self.noises) or self.farthest > self.reach
         self.layout = replace(self.layout, is_clipped=is_clipped)
+        are_many = ~draws.are_alone(samples)
+        every = [one for one, is_many in zip(every, are_many.tolist(), strict=True) if is_many]
+        samples = samples[are_many]
         are_rings = all(one.workspace.is_ring for one in every)
-        self.draws_pairs = type(self.task) is RandomTarget and are_rings
+        self.draws_pairs = type(self.task) is RandomTarget and are_rings and bool(every)
         if self.draws_pairs:  # all arms at once, if arrays give what numbers do
             try:
                 many = self.episodes(samples)
@@ -266,7 +269,7 @@ class ReachSetup:
                     for one, row, locks in zip(every, rows, locks_at, strict=True)
                 ]
                 self.draws_pairs = all(alike) or (not many.body and not self.arms_differ)
-            except (NoColumns, TypeError, ValueError, UserError):
+            except (TypeError, ValueError, UserError):
                 self.draws_pairs = False
 
     def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
@@ -278,8 +281,7 @@ class ReachSetup:
         body: ArmColumns | None = None
         ring = self.ring
         if self.arms_differ:
-            arm: ArmParameters = ArmColumns.of(self.unperturbed)
-            body = ArmColumns.of(reduce(lambda arm, one: one.change_body(arm), parts, arm))
+            body = self._drawn_body(parts)
             ring = rings(body.segment_lengths, self.given_body.segment_lengths)
         times = [one.time for one in parts if isinstance(one, LockedJoint)]
         step = self.unperturbed.control_step
@@ -363,14 +365,22 @@ class ReachSetup:
         (x, y), (_, outer) = self.task.start or (0.0, 0.0), shared_ring(self.body, self.given_body)
         return replace(one, centre=(x * outer, y * outer))  # type: ignore[type-var]
 
-    def _change_arm(self, changes: Sequence[Change]) -> None:
+    def _drawn_body(self, parts: Sequence[Perturbation]) -> ArmColumns:
+        """Return the arm under perturbations as they may be drawn, which were checked before."""
+        arm: ArmParameters = ArmColumns.of(self.unperturbed)
+        return ArmColumns.of(reduce(lambda arm, one: one.change_body(arm), parts, arm))
+
+    def _change_arm(self, changes: Sequence[Change], is_checked: bool) -> None:
         """Apply the perturbations to the arm, and find where hand and target can be."""
         #: the simulated arm, with all perturbations; the given one, with those that are `known`
-        self.body = self.given_body = self.unperturbed
-        for one in changes:
-            self.body = _changed(one, self.body)
-            if one.known:
-                self.given_body = _changed(one, self.given_body)
+        if is_checked:
+            self.body = self.given_body = self.unperturbed
+            for one in changes:
+                self.body = _changed(one, self.body)
+                if one.known:
+                    self.given_body = _changed(one, self.given_body)
+        else:
+            self.body = self._drawn_body(self.perturbations)
         times = {one.time for one in self.perturbations if isinstance(one, LockedJoint)}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
@@ -409,11 +419,15 @@ class ReachSetup:
 
         `look` returns which hands are seen, if they are hidden at times, (n, 2).
         """
-
-        def draw(count: int) -> NDArray[np.float64]:
-            return np.stack([random.standard_normal(count) for random in randoms])
-
         for noise in noises:
+            chosen = np.broadcast_to(noise.is_heard, len(randoms))
+
+            def draw(count: int, chosen: NDArray[np.bool_] = chosen) -> NDArray[np.float64]:
+                numbers = np.zeros((len(randoms), count))
+                for arm in np.flatnonzero(chosen).tolist():
+                    randoms[arm].standard_normal(out=numbers[arm])
+                return numbers
+
             seen = noise.disturb(seen, draw)
             name = f"what {type(noise).__name__}.disturb returns"
             require(isinstance(seen, Seen), name, seen, "a changed Seen")
@@ -513,7 +527,7 @@ class ReachSetup:
             checked[key] = array
         if self.draws and not any(one.ndim for one in checked.values()):
             try:
-                self.episode(self.draws.set(self.draws.samples()[:1], checked)[0])
+                self.episode(self.draws.set(self.draws.samples()[:1], checked)[0], is_checked=True)
             except UserError as error:
                 raise UserError(f"{name} must be possible, got {context}: {error}") from error
         return checked

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from itertools import cycle
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
@@ -23,7 +22,7 @@ from mmc_gym._errors import (
     require,
     require_array,
 )
-from mmc_gym.body import ArmParameters, make_arms
+from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.drawn import of_many, of_some, write
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
 
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+Randoms = list[np.random.Generator]
 Floats = NDArray[np.float64]
 Looked = tuple[Any, NDArray[Any], Info]  # observation, rewards and infos
 _EVERY = slice(None)
@@ -97,6 +97,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._numbers = np.tile(first, (num_envs, 1))
         self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
         self._parts = [of_many(one, num_envs) for one in setup.parts] if setup.draws else []
+        self._disturbance: Disturbance | None = None  # of all arms, if it is known
         self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
@@ -262,35 +263,16 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw what is drawn and trials for these arms, and place them."""
         setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
-        setups, ring, cursor = [setup], setup.ring, setup.cursor
-        body: ArmParameters | list[ArmParameters] | None = None
-        at_once = setup.draws_pairs and not options.has_trial
+        is_alone = np.full(len(arms), options.has_trial or not setup.draws_pairs)
         if setup.draws is not None:
             context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
             uniform = uniform_numbers(randoms, len(setup.draws.strengths))
             numbers = setup.draws.set(setup.draws.numbers(uniform), context)
             self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
-            if at_once:
-                drawn = setup.episodes(numbers)
-                body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
-                self._begin(arms, drawn)
-            else:
-                setups = [setup.episode(row) for row in numbers]
-                body = [one.body for one in setups] if setup.arms_differ else None
-                for row, one in enumerate(setups):
-                    self._begin(arms[[row]], one)
-        if at_once:
-            uniform = uniform_numbers(randoms, setup.joint_count + 2)
-            postures, self._paths[arms, 0] = pairs_from(uniform, ring, cursor)
-            self._last_places[arms] = 0
-        else:
-            pairs = zip(cycle(setups), randoms)
-            trials = [one.draw_trial(random, options) for one, random in pairs]
-            postures = np.array([trial.joint_angles for trial in trials])
-            for arm, trial in zip(arms, trials, strict=True):
-                self._paths[arm, : len(trial.targets)] = trial.targets
-                self._last_places[arm] = len(trial.targets) - 1
-        self._body.reset(postures, arms, parameters=body)
+            is_alone |= setup.draws.are_alone(numbers)
+        for some, place in ((~is_alone, self._place_many), (is_alone, self._place_each)):
+            if some.any():
+                place(arms[some], [randoms[row] for row in np.flatnonzero(some)], options)
         self._load(arms, np.zeros_like(arms))
         self._body.lock(arms[self._lock_steps[arms] == 0])
         self._steps[arms] = self._places[arms] = 0
@@ -301,8 +283,38 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.setup.vision_delay:
             self._sights[:, arms] = self._sight(arms)
 
+    def _place_many(self, arms: Indices, randoms: Randoms, options: Options) -> None:
+        """Draw a trial for each of these arms, all at once."""
+        del options
+        setup, body = self.setup, None
+        ring, cursor = setup.ring, setup.cursor
+        if setup.draws is not None:
+            drawn = setup.episodes(self._numbers[arms])
+            body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
+            self._begin(arms, drawn)
+        uniform = uniform_numbers(randoms, setup.joint_count + 2)
+        postures, self._paths[arms, 0] = pairs_from(uniform, ring, cursor)
+        self._last_places[arms] = 0
+        self._body.reset(postures, arms, parameters=body)
+
+    def _place_each(self, arms: Indices, randoms: Randoms, options: Options) -> None:
+        """Draw a trial for each of these arms, one by one."""
+        setups, bodies = [self.setup] * len(arms), None
+        if self.setup.draws is not None:
+            setups = [self.setup.episode(row) for row in self._numbers[arms]]
+            bodies = [one.body for one in setups] if self.setup.arms_differ else None
+            for row, one in enumerate(setups):
+                self._begin(arms[[row]], one)
+        pairs = zip(setups, randoms, strict=True)
+        trials = [one.draw_trial(random, options) for one, random in pairs]
+        for arm, trial in zip(arms, trials, strict=True):
+            self._paths[arm, : len(trial.targets)] = trial.targets
+            self._last_places[arm] = len(trial.targets) - 1
+        self._body.reset([one.joint_angles for one in trials], arms, parameters=bodies)
+
     def _begin(self, arms: Indices, drawn: Episodes | ReachSetup) -> None:
         """Keep what steps need of what these arms have drawn."""
+        self._disturbance = None
         self._lock_steps[arms] = drawn.lock_steps
         for many, new in zip(self._parts, drawn.parts, strict=True):
             write(many, arms, new)
@@ -338,8 +350,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Restart the arms whose episodes are over; add how they ended to the infos (SAME_STEP)."""
         arms, shown = np.flatnonzero(over), self._with_context(self._arrived())
         final_observations = np.full(self.num_envs, None, dtype=object)
-        for arm in arms:
-            final_observations[arm] = deepcopy(pick(shown, arm))
+        ended = pick(shown, arms)  # a copy
+        for row, arm in enumerate(arms.tolist()):
+            final_observations[arm] = pick(ended, row)
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: of_arms(infos[name], arms) for name in names}, over)
         self._place(arms, Options())
@@ -413,7 +426,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             hands, targets = self._sights[-1 - late, self._all[arms]].swapaxes(0, 1)
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
         true = Seen(angles, targets, velocities, hands)
-        randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
+        randoms = self._randoms
+        if arms is not _EVERY:
+            randoms = [randoms[arm] for arm in self._all[arms].tolist()]
         now, of_all = self._now(arms), self._all[arms]
         if not now.feedback:
             return self.setup.observe(true, now.noises, randoms)
@@ -472,6 +487,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             return setup.disturbance(self._steps[arms]) if setup.is_timed else setup.full
         if arms is not _EVERY:
             parts = [of_some(one, arms) for one in parts]
+        elif not setup.is_timed:  # it stays until other parts are written
+            self._disturbance = self._disturbance or setup.disturbance(self._steps, parts)
+            return self._disturbance
         return setup.disturbance(self._steps[arms], parts)
 
     def _sight(self, arms: Indices | slice) -> Floats:
