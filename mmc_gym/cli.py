@@ -139,11 +139,14 @@ class PlayOptions(EnvironmentOptions):
     """The options of commands in which agents play."""
 
     allow_pickle: Switch = False
-    """Load .zip files of stable-baselines3, which may run any code."""
+    """Load .zip files of stable-baselines3, which may run code."""
+
+    wrapper: Names = ()
+    """module:function: wrappers of a model; LABEL=... of one."""
 
     @override
     def load(self) -> dict[str, Any]:
-        return {**super().load(), "allow_pickle": self.allow_pickle}
+        return {**super().load(), "allow_pickle": self.allow_pickle, "wrapper": self.wrapper}
 
 
 NO_IMPORTS, IN_ENVIRONMENT, PLAYED = ImportOptions(), EnvironmentOptions(), PlayOptions()
@@ -158,7 +161,6 @@ def compare(
     seed: Number = 0,
     out: Place = Path("runs/compare"),
     interface: Text = None,
-    wrapper: Names = (),
     explain: Switch = False,
     more: PlayOptions = PLAYED,
 ) -> None:
@@ -174,13 +176,11 @@ def compare(
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
         interface: Of your own environment, module:name: where in its observations things are.
-        wrapper: module:function of what a model was trained behind; LABEL=... of one model.
         explain: Print all of how to read the numbers.
     """
     from mmc_gym.benchmark import compare
 
-    shared = {**more.load(), "interface": interface, "focus": focus}
-    shared |= {"wrapper": wrapper, "explain": explain}
+    shared = {**more.load(), "interface": interface, "focus": focus, "explain": explain}
     env = _one("scenarios", scenarios, "benchmark plays several")
     compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
@@ -203,7 +203,6 @@ def benchmark(
     jobs: OtherNumber = None,
     cluster: Text = None,
     interface: Text = None,
-    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep every episode in a store, print a ranking.
@@ -219,12 +218,11 @@ def benchmark(
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
-        wrapper: Of models, see compare.
     """
     from mmc_gym.agents import AGENTS, REFERENCE
     from mmc_gym.benchmark import ranking, runner
 
-    shared = {**more.load(), "interface": interface, "wrapper": wrapper}
+    shared = {**more.load(), "interface": interface}
     failed: list[str] = []
     with progress_bar() as bar:
         task = bar.add_task("cells")
@@ -265,24 +263,22 @@ def adapt(
     seed: Number = 0,
     out: Place = Path("runs/adapt"),
     jobs: OtherNumber = None,
-    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents learn over the trials of an experiment; print a table, write data and figure.
 
     Args:
         experiment: One of `mmc-gym list experiments`, with any strength, or your own YAML file.
-        agents: The agents, see compare.
+        agents: See compare.
         keep: Agents that keep their whole memory, such as ppo-memory.
-        rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
-        retention: Share of a state that is left at the next trial.
+        rate: Share of an error learned; two: fast and slow.
+        retention: Share of a state left at the next trial.
         learners: YAML file of what differs, as in "slow: {rate: 0.05}".
         people: CSV of your data in the figure: trial, adaptation.
         subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
         out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
-        wrapper: Of models, see compare.
     """
     import pandas as pd
 
@@ -306,7 +302,6 @@ def adapt(
             learners=None if learners is None else read_yaml_file(learners),
             keep=keep,
             jobs=jobs,
-            wrapper=wrapper,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
             **shared,
         )
@@ -477,7 +472,6 @@ def record(
     out: Place = Path("runs/film.gif"),
     every: Number = 1,
     interface: Text = None,
-    wrapper: Names = (),
     more: PlayOptions = PLAYED,
 ) -> None:
     """Write a film of agents at work, side by side, as .gif or .mp4; this needs no display.
@@ -490,12 +484,10 @@ def record(
         out: The file to write; .mp4 needs the extra "video".
         every: Control steps from one picture to the next; more make a smaller file.
         interface: Of your own environment, see compare.
-        wrapper: Of models, see compare.
     """
     from mmc_gym.record import record
 
-    shared = {**more.load(), "interface": interface}
-    shared |= {"every": every, "wrapper": wrapper}
+    shared = {**more.load(), "interface": interface, "every": every}
     env = _one("scenarios", scenarios)
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes * len(agents))

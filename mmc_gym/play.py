@@ -11,7 +11,7 @@ import numpy as np
 import pygame
 
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, resolve
+from mmc_gym.agents.resolver import AgentLike, Wrappers, resolve_all
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.render import View, open_display
 from mmc_gym.envs.scenarios import EnvLike, parse_environment
@@ -24,6 +24,7 @@ def play(
     *,
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
+    wrapper: Wrappers = (),
 ) -> None:
     """Open a window in which the mouse moves the target and an agent the arm.
 
@@ -36,8 +37,9 @@ def play(
     open_display(must_be_seen=True)
     try:
         given = {**(env_kwargs or {}), "render_mode": "human", "max_episode_steps": -1}
-        resolved = resolve(agent, allow_pickle=allow_pickle)
-        world, player = make_player(resolved, parse_environment(env, given))
+        shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
+        (found,) = resolve_all([agent], every_training=False, **shared)
+        world, player = make_player(found, parse_environment(env, given))
         with closing(world):
             for _ in frames(world, player, seed):
                 pass

@@ -59,7 +59,7 @@ def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
     paths = results.paths[results.paths["environment"] == environment]
     failed: dict[int, list[str]] = {}
     for agent in results.focus:
-        for instance in results.replayed_failures(agent, environment):
+        for instance in results.replayed_failures.get((agent, environment), []):
             failed.setdefault(instance, []).append(agent)
     instances = sorted(paths["instance"].unique(), key=lambda one: (one not in failed, one))
     instances = instances[: max(REPLAYED_INSTANCES, len(failed))]

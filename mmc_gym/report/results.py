@@ -53,15 +53,11 @@ class AgentIdentity:
     training_steps: tuple[int | None, ...] = ()
     sources: tuple[str, ...] = ()  #: of its trainings
 
-    @property
-    def description(self) -> str:
-        """One line of description; empty if the agent does not ship with the package."""
-        return AGENTS[self.name].description if self.name in AGENTS else ""
-
     def about(self, label: str) -> str:
         """Return what it is, with its name if it has another `label`."""
-        if self.description:
-            return self.description if self.name == label else f"{self.name}: {self.description}"
+        if self.name in AGENTS:
+            about = AGENTS[self.name].description
+            return about if self.name == label else f"{self.name}: {about}"
         kind = self.knowledge.kind
         return "your own" if kind == "yours" else kind
 
@@ -182,19 +178,15 @@ class Results:
         return paths if paths.empty else _compact(paths)  # the report can do without
 
     @cached_property
-    def _replayed_failures(self) -> dict[tuple[str, str], list[int]]:
-        """The instances of failures whose paths are kept, by agent and scenario."""
+    def replayed_failures(self) -> dict[tuple[str, str], list[int]]:
+        """The instances of failures that the replay shows, by agent and scenario."""
         if self.paths.empty:
             return {}
         names = {"agent": str, "environment": str}
         failed = self.episodes.loc[self.episodes["success"] == 0, COLUMNS].astype(names)
         both = failed.merge(self.paths[COLUMNS].drop_duplicates().astype(names))
         groups: Any = both.groupby(["agent", "environment"])["instance"]
-        return {key: sorted(instances.tolist()) for key, instances in groups}
-
-    def replayed_failures(self, agent: str, environment: str) -> list[int]:
-        """Return the instances of failures of an agent that the replay shows."""
-        return self._replayed_failures.get((agent, environment), [])[:REPLAYED_INSTANCES]
+        return {key: sorted(some.tolist())[:REPLAYED_INSTANCES] for key, some in groups}
 
     @cached_property
     def successes(self) -> dict[str, Bootstrap]:

@@ -154,7 +154,7 @@ def failure_table(results: Results) -> Table | None:
         others = here[(here["agent"] != REFERENCE) & (here["success"] == 1)]
         instances = set(failed["instance"])
         possible = len(instances & set(others["instance"]))
-        shown = results.replayed_failures(agent, name)
+        shown = results.replayed_failures.get((agent, name), [])
         cells = (
             Cell(f"{len(failed)} of {len(mine)}"),
             Cell("" if shown else "–", links=tuple((name, number + 1) for number in shown)),
