@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.envs.perturbations import ErrorClamp, ForceField
+from mmc_gym.envs.perturbations import Channel, ErrorClamp, ForceField, NoFeedback
 from mmc_gym.experiments.experiment import PlannedTrial, has
 from mmc_gym.experiments.fits import (
     TWO_STATES,
@@ -37,6 +37,7 @@ QUANTITIES = (
     Quantity(name="rate", label="rate of learning", unit="1/trial", decimals=3),
     Quantity(name="final_adaptation", label="asymptote", unit=OF_ADAPTATION),
     Quantity(name="after_effect", label="after-effect", unit=OF_ADAPTATION),
+    Quantity(name="channel_force", label="force in channels", unit="of the ideal force"),
     Quantity(name="retention", label="retention", unit="fraction"),
     Quantity(name="savings", label="savings", unit="ratio of rates"),
     Quantity(name="width", label="width of generalisation", unit="°", decimals=1),
@@ -57,6 +58,8 @@ class Movements(NamedTuple):
     cursors: NDArray[np.floating]  #: likewise; the hand's where there is none
     targets: NDArray[np.floating]  #: likewise
     control_step: float  #: s
+    #: of the ideal force in channels, NaN in other trials, (subjects, trials)
+    channel_shares: Floats | float = math.nan
 
 
 class Corrections(NamedTuple):
@@ -75,7 +78,9 @@ class Learning:
     adaptation: Floats  #: y, less the mean of the baseline, (..., trials)
     errors: Floats  #: e, (..., trials)
     perturbations: Floats  #: p, 0 for none, (trials,)
-    clamps: Floats  #: the error that is shown in error clamps, NaN in other trials, (trials,)
+    #: the error that is shown in error clamps, 0 in channels and without feedback, NaN in other
+    #: trials, (trials,)
+    clamps: Floats
     kinds: NDArray[np.str_]  #: see `PlannedTrial.kind`, (trials,)
     offsets: Floats  #: the target's direction less the trained one, degrees, (trials,)
     blocks: NDArray[np.int64]  #: number of the block, (trials,)
@@ -107,6 +112,8 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
       over the 10 before it.
     - clamp_asymptote: of the last 10 trials whose error is clamped and not 0, see Morehead et al.
       (2017), J. Cogn. Neurosci. 29, 1061.
+    - channel_force: adaptation in the last 10 channels of the first exposure, or if it has none of
+      what follows, see Smith et al. (2006), PLoS Biol. 4, e179.
     - others: see `mmc_gym.experiments.learning`.
     """
     exposed, clamped = _of_exposures(of), np.flatnonzero(of.kinds == "clamp")
@@ -140,6 +147,7 @@ def _of_exposures(of: Learning) -> dict[str, Any]:
         "savings": rates[1] / rates[0] if len(rates) > 1 else math.nan,
         "final_adaptation": _level(of, exposures[0][-AT_END:]),
         "after_effect": _level(of, np.flatnonzero(is_free)[:AT_START]),
+        "channel_force": _level(of, _channels(of, begin)[-AT_END:]),
         "retention": _retention(of, begin, least),
         "width": _width(of, begin, least),
     }
@@ -148,6 +156,13 @@ def _of_exposures(of: Learning) -> dict[str, Any]:
 def _level(of: Learning, trials: NDArray[np.int64]) -> Any:
     """Return the mean adaptation over some trials, NaN over none."""
     return of.adaptation[..., trials].mean(axis=-1) if len(trials) else math.nan
+
+
+def _channels(of: Learning, begin: int) -> NDArray[np.int64]:
+    """Return the trials in channels, of the first exposure if it has some, else all that follow."""
+    after = np.flatnonzero(of.kinds[begin:] == "channel") + begin
+    inside = after[np.isin(of.blocks[after], of.blocks[of.exposures[0]])]
+    return inside if len(inside) else after
 
 
 def _rate(curves: Floats, least: float) -> Floats:
@@ -185,32 +200,46 @@ def learning_of(of: Movements) -> Learning:
     of each subject's baseline at each target is subtracted.  Probes in other directions are sorted
     by direction within their block, since each subject has another order.  In a force field the
     unit is the mean deviation in its first trial, and what differs between targets is taken out,
-    because the field pushes less in some directions.
+    because the field pushes less in some directions.  In a channel it is the share of the ideal
+    force.  Channels and hidden hands show no error.  Directions are from the instructed aim, if
+    there is one: what remains is implicit.
     """
     schedule, angles = of.schedule, of.angles
     blocks = np.array([one.block for one in schedule])
     kinds = np.array([one.kind for one in schedule])
-    clamped = np.array([has(one.condition.perturbations, ErrorClamp) for one in schedule])
+    clamped, in_channel, hidden = (
+        np.array([has(one.condition.perturbations, kind) for one in schedule])
+        for kind in (ErrorClamp, Channel, NoFeedback)
+    )
+    errorless = in_channel | hidden
     strengths = np.array([one.strength for one in schedule])
     is_field = any(has(one.condition.perturbations, ForceField) for one in schedule)
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     sign = np.sign(strengths[first].sum())
 
-    towards = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles))], axis=-1)
+    aims = np.radians(angles + np.array([one.aim for one in schedule]))
+    towards = np.stack([np.cos(aims), np.sin(aims)], axis=-1)
     steps = round(BEFORE_FEEDBACK / of.control_step)
     measured = lateral_deviation if is_field else partial(initial_direction, steps=steps)
     own, seen = (measured(one, of.hands[:, :, 0] + towards) for one in (of.hands, of.cursors))
-    baseline = _baseline(own, angles, np.arange(len(schedule)) < first.sum())
+    before, free = np.arange(len(schedule)) < first.sum(), np.where(in_channel, math.nan, own)
+    baseline = _baseline(free, angles, before)
     own, seen = own - baseline, seen - np.where(clamped, 0.0, baseline)
-    perturbations = np.where(clamped, 0.0, strengths) * sign
+    perturbations = np.where(clamped | in_channel, 0.0, strengths) * sign
     adaptation, errors, deviation = -own * sign, seen * sign, math.nan
     if is_field:
         perturbations /= np.abs(strengths).max()
-        own = _without_directions(own, angles, blocks + len(schedule) * (kinds != "plain"))
+        groups = blocks + len(schedule) * np.unique(kinds, return_inverse=True)[1]
+        own = _without_directions(own, angles, groups)
         deviation = float(np.nanmean(own[:, first]) / perturbations[first].sum())
         is_known = abs(deviation) > LEAST and perturbations[first].sum() > 0.5
         errors = own / (deviation if is_known else math.nan)
         adaptation = perturbations - errors
+    if in_channel.any():
+        shares = np.broadcast_to(of.channel_shares if is_field else math.nan, angles.shape)
+        shares = shares - _baseline(shares, angles, before)
+        adaptation = np.where(in_channel, shares, adaptation)
+    errors, perturbations = np.where(errorless, 0.0, errors), np.where(hidden, 0.0, perturbations)
     order = _by_direction(angles, blocks, kinds == "transfer")
     adaptation, errors, ordered = (
         np.take_along_axis(values, order, axis=1) for values in (adaptation, errors, angles)
@@ -219,7 +248,7 @@ def learning_of(of: Movements) -> Learning:
         adaptation=adaptation,
         errors=errors,
         perturbations=perturbations,
-        clamps=np.where(clamped, strengths * sign, math.nan),
+        clamps=np.where(clamped, strengths * sign, np.where(errorless, 0.0, math.nan)),
         kinds=kinds,
         offsets=(ordered[0] - angles[0, first].sum() + 180) % 360 - 180,
         blocks=blocks,

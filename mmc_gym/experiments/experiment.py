@@ -47,6 +47,7 @@ from mmc_gym.envs.perturbations import (
     ErrorClamp,
     Feedback,
     ForceField,
+    NoFeedback,
     Noise,
     Perturbation,
 )
@@ -103,9 +104,12 @@ Directions = Annotated[
 ]
 Word = Annotated[str, MinLen(1)]
 Seconds = Annotated[float, Ge(0), Lt(1000)]
-ProbeKind: TypeAlias = Literal["catch", "clamp", "transfer", "jump", "other"]
+Aim = Annotated[float, Ge(-180), Le(180)]
+ProbeKind: TypeAlias = Literal["catch", "clamp", "channel", "hidden", "transfer", "jump", "other"]
 Kind: TypeAlias = Literal["plain", ProbeKind]
-"""What a trial is measured as; "plain" trials are those without a probe and without a clamp."""
+"""What a trial is measured as; "plain" ones have no probe, and show the hand, free to move."""
+MARKS = {"catch": "x", "channel": "+", "hidden": "|"}
+"""Markers of such probes in figures."""
 
 EIGHT = tuple(45.0 * k for k in range(8))
 _STRICT = ConfigDict(extra="forbid")
@@ -132,6 +136,21 @@ def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
     return any(isinstance(one.perturbation, kind) for one in changes)
 
 
+def _without_error(changes: Sequence[Change]) -> Literal["clamp", "channel", "hidden", ""]:
+    """Return the kind of a trial in which the hand's own error is not seen, or nothing."""
+    if has(changes, ErrorClamp):
+        return "clamp"
+    return "channel" if has(changes, Channel) else "hidden" if has(changes, NoFeedback) else ""
+
+
+def _check_aim(of: Block | Probe) -> None:
+    """Refuse an aim where it would move more than the place that is aimed at."""
+    bound = any(has(of.perturbations, kind) for kind in (ErrorClamp, CursorJump, Channel))
+    bound |= isinstance(of, Probe) and bool(of.target_jump)
+    accepted = "0 with a clamp, jump or channel"
+    require(not (of.aim and bound), f"aim of {of.name!r}", of.aim, accepted)
+
+
 def _is_of_senses(change: Change) -> bool:
     return isinstance(change.untimed, Noise | Delay | Feedback | Channel)
 
@@ -148,9 +167,14 @@ class Probe:
     perturbations: Learned = ()
     targets: Directions = ()  #: directions in place of the block's, which may never be trained
     target_jump: float = 0.0  #: of the target in flight, see `CuedTarget.jump`
+    aim: Aim = 0.0  #: in place of the block's
     #: what its trials are measured as.  None: "jump" with a jump of cursor or target; or "transfer"
-    #: with targets of its own, "clamp" in an error clamp, "catch" without perturbations, or "other"
+    #: with targets of its own, "clamp" in an error clamp, "channel", "hidden" with no-feedback,
+    #: "catch" without perturbations and aim, or "other"
     kind: ProbeKind | None = None
+
+    def __post_init__(self) -> None:
+        _check_aim(self)
 
     @property
     def measured_as(self) -> ProbeKind:
@@ -161,9 +185,8 @@ class Probe:
             return "jump"
         if self.targets:
             return "transfer"
-        if has(self.perturbations, ErrorClamp):
-            return "clamp"
-        return "other" if self.perturbations else "catch"
+        is_other = self.perturbations or self.aim
+        return _without_error(self.perturbations) or ("other" if is_other else "catch")
 
 
 @_explained
@@ -183,8 +206,12 @@ class Block:
     gradual: bool = False  #: whether perturbations grow, to their strength in the last trial
     rest: Annotated[float, Ge(0), Lt(math.inf)] = 0.0  #: before the block, s
     go_cue: Seconds = 0.0  #: when the target appears, s after the trial's start; the hand waits
+    #: instructed, degrees from the target: where agents are asked to reach, while hand and errors
+    #: are measured from the target.  See Taylor, Krakauer & Ivry (2014), J. Neurosci. 34:3023.
+    aim: Aim = 0.0
 
     def __post_init__(self) -> None:
+        _check_aim(self)
         share = sum(1 / probe.every for probe in self.probes)
         require(share < 1, "probes", self.probes, "fewer than the trials")
         for probe in self.probes:
@@ -244,9 +271,10 @@ class PlannedTrial(NamedTuple):
     condition: Condition
     strength: float  #: of the last perturbation that is not of the senses; 0 without one
     probe: str  #: the probe's name; empty for other trials
-    kind: Kind  #: what it is measured as; "clamp" in all trials of a block under an error clamp
+    kind: Kind  #: what it is measured as
     targets: tuple[float, ...]  #: the directions of which one is met
     rest: float  #: before it, s
+    aim: float = 0.0  #: instructed, degrees from the target
 
 
 @_explained
@@ -301,8 +329,8 @@ class Experiment:
     @functools.cached_property
     def directions(self) -> tuple[float, ...]:
         """All directions in which there are targets."""
-        pools = {one.targets for one in self.schedule}
-        return tuple(sorted({direction for pool in pools for direction in pool}))
+        pools = {(one.targets, one.aim) for one in self.schedule}
+        return tuple(sorted({(turn + aim) % 360 for pool, aim in pools for turn in pool}))
 
     def scenario(self, condition: Condition = UNCHANGED, **arguments: Any) -> Scenario:
         """Return what is played under a condition, with more arguments of the environment.
@@ -319,7 +347,7 @@ class Experiment:
         """The trials in their order, the same for all subjects."""
         planned: list[PlannedTrial] = []
         for index, block in enumerate(self.blocks):
-            plain: Kind = "clamp" if has(block.perturbations, ErrorClamp) else "plain"
+            plain: Kind = _without_error(block.perturbations) or "plain"
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
                 learned = [one for one in reversed(changes) if not _is_of_senses(one)]
@@ -335,6 +363,7 @@ class Experiment:
                         kind=probe.measured_as if probe else plain,
                         targets=(probe and probe.targets) or block.targets,
                         rest=0.0 if trial else block.rest,
+                        aim=(probe or block).aim,
                     )
                 )
         return tuple(planned)
@@ -359,9 +388,12 @@ class Experiment:
         if clamped.any():
             held = np.where(clamped, strengths, math.nan)
             axes.plot(trials, held, **line, linestyle=":", label="error clamp")
-        probes = dict.fromkeys(one.probe for one in self.schedule if one.probe)
-        for name, marker in zip(probes, cycle("x+|14")):
-            of = [one for one in self.schedule if one.probe == name]
+        if any(aims := [one.aim for one in plain]):
+            axes.step(trials, aims, "--", color="0.5", where="mid", label="instructed aim")
+        probes, others = {one.probe: one.kind for one in self.schedule if one.probe}, cycle("14.23")
+        for name, kind in probes.items():
+            of, marker = [o for o in self.schedule if o.probe == name], MARKS.get(kind)
+            marker = marker or next(others)
             style: Any = {"linestyle": "", "marker": marker, "markersize": 4, "color": "0.4"}
             axes.plot([one.trial for one in of], [one.strength for one in of], **style, label=name)
         first = np.cumsum([0, *(block.trials for block in self.blocks)]) - 0.5

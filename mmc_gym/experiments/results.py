@@ -39,7 +39,7 @@ from mmc_gym.experiments.adaptation import (
     learning_of,
     measure_learning,
 )
-from mmc_gym.experiments.experiment import Experiment
+from mmc_gym.experiments.experiment import MARKS, Experiment
 from mmc_gym.measures.catalogue import PEOPLE, people, span
 
 RESAMPLES = 500
@@ -58,8 +58,10 @@ class ExperimentResult:
     experiment: Experiment
     #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
     #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (see
-    #: `PlannedTrial`), probe (empty for usual trials), target_angle (degrees), start_x, start_y (of
-    #: the hand), go_step (control step of the go cue); how the agent went through: rate,
+    #: `PlannedTrial`), probe (empty for usual trials), aim (instructed, degrees from the target: an
+    #: angle less it is implicit), target_angle (degrees), start_x, start_y (of the hand), go_step
+    #: (control step of the go cue), channel_force (in a `Channel`, as a share of the ideal one:
+    #: slope of the regression through the origin over the trial); how the agent went through: rate,
     #: retention and the other `LEARNED` of the subject (several states after commas; empty
     #: without), keeps_all, noise, seed and version (of mmc-gym); and the movement, see
     #: `describe_movements`
@@ -100,6 +102,7 @@ class ExperimentResult:
             cursors=self.cursors[rows.index].reshape(*shape, -1, 2),
             targets=self.targets[rows.index].reshape(*shape, -1, 2),
             control_step=self.control_step,
+            channel_shares=rows["channel_force"].to_numpy(np.float64).reshape(shape),
         )
 
     def plot(self, figure: Figure | None = None) -> Figure:
@@ -251,9 +254,9 @@ def learning_figure(
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
-    Probes other than catch trials and error clamps are left out.  Below are the measures for which
-    there is a published figure of people, see `draw_with_people`; `table` has them, by default
-    that of the result.
+    Probes are marks, but for error clamps; those in other directions and of jumps are left out.
+    Below are the measures for which there is a published figure of people, see `draw_with_people`;
+    `table` has them, by default that of the result.
     """
     table = result.measures if table is None else table
     compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
@@ -298,13 +301,17 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
     line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
     axes.step(np.arange(len(full)), full, "0.6", **line)
     in_degrees = learning.unit == "°"
-    label = "hand angle [°]" if in_degrees else "adaptation [share of the deviation]"
+    is_aimed = any(one.aim for one in result.experiment.schedule)
+    angle = "hand angle less the aim [°]" if is_aimed else "hand angle [°]"
+    label = angle if in_degrees else "adaptation [share of the deviation]"
     axes.set(xlabel="trial", ylabel=label)
 
 
 def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resamples: int) -> None:
     """Draw the mean adaptation of each cycle of trials over the middle of the cycle."""
     in_curve = np.isin(learning.kinds, ("plain", "clamp"))
+    alone = ~np.isin(learning.blocks, learning.blocks[in_curve])  # blocks without feedback
+    in_curve |= alone & np.isin(learning.kinds, ("hidden", "channel"))
     for block in np.unique(learning.blocks):
         trials = np.flatnonzero(in_curve & (learning.blocks == block))
         cycles = np.array_split(trials, max(1, len(trials) // CYCLE))
@@ -315,8 +322,10 @@ def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resampl
         if len(means) > 1:  # a single subject has no band
             ends = np.quantile(means[1:], expanded_tails(len(learning.errors)), axis=0)
             axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
-    catches = np.flatnonzero(learning.kinds == "catch")
-    axes.plot(catches, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)
+    for kind, marker in MARKS.items():
+        probes = np.flatnonzero((learning.kinds == kind) & ~in_curve)
+        means = learning.adaptation[:, probes].mean(axis=0)
+        axes.plot(probes, means, marker, color=colour, ms=4)
 
 
 def draw_with_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:

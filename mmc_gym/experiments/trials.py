@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -45,10 +46,11 @@ from mmc_gym.experiments.adaptation import BEFORE_FEEDBACK
 from mmc_gym.experiments.experiment import Condition, Experiment, find_experiment
 from mmc_gym.experiments.learning import describe_movements
 from mmc_gym.experiments.results import ExperimentResult
+from mmc_gym.geometry import turned_back
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
-RECORDING = 4
+RECORDING = 5
 """Version of recordings; when it changes, all cells are played again."""
 
 _SPREAD = 1  # of the seeds that subjects are drawn with
@@ -184,18 +186,26 @@ class _Session:
         self.seeds = [one.generate_state(self.shape[1] + 1).tolist() for one in sequences]
         self.angles = [cell.experiment.targets_of(own[-1]).tolist() for own in self.seeds]
         self.paths: dict[str, NDArray[np.float32]] = {}
+        self.channel_shares = np.full(self.shape, np.nan)
         self.environment = lru_cache(maxsize=8)(partial(cell.environment, player))
 
     def play(self, agent: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
         """Play trials (subject, trial) of one condition; return the agent's state at the end."""
         env = self.environment(self.schedule[pairs[0][1]].condition, len(pairs))
         directions = self.cell.experiment.directions
-        options = [{"trial": directions.index(self.angles[of][at])} for of, at in pairs]
+        turns = [(self.angles[of][at] + self.schedule[at].aim) % 360 for of, at in pairs]
+        options = [{"trial": directions.index(turn)} for turn in turns]
         seeds = [self.seeds[subject][trial] for subject, trial in pairs]
         if state is None and isinstance(agent, Agent):
             state = agent.begin(seeds)
         episodes, state = run_trial(agent, env, seeds, options, state)
         for pair, episode in zip(pairs, episodes, strict=True):
+            self.channel_shares[pair] = episode.channel_share
+            if aim := self.schedule[pair[1]].aim:  # the target is elsewhere
+                start, turn = episode.hands[0], math.radians(aim)
+                x, y = (episode.targets - start).T
+                way = turned_back(x, y, math.cos(turn), math.sin(turn))
+                episode = replace(episode, targets=start + np.transpose(way))
             for name, attribute in _PATHS.items():
                 path = getattr(episode, attribute)
                 if name not in self.paths:
@@ -224,7 +234,7 @@ class _Session:
 
     def columns(self, control_step: float) -> dict[str, Any]:
         """Return the columns of `ExperimentResult.trials`, and the paths."""
-        table = pd.DataFrame(self.schedule)[["trial", "block", "phase", "strength", "probe"]]
+        table = pd.DataFrame(self.schedule)[["trial", "block", "phase", "strength", "probe", "aim"]]
         conditions = [one.condition for one in self.schedule]
         table["perturbation"] = ["+".join(c.name for c in one.perturbations) for one in conditions]
         table["go_step"] = [round(one.go_cue / control_step) for one in conditions]
@@ -245,6 +255,7 @@ class _Session:
             "target_angle": np.ravel(self.angles),
             "start_x": starts[:, 0],
             "start_y": starts[:, 1],
+            "channel_force": self.channel_shares.ravel(),
             **{name: np.repeat(values, trials) for name, values in own.items()},
             **{name: [one] * len(starts) for name, one in same.items()},
             **{name: _lists(values) for name, values in self.paths.items()},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -38,6 +39,10 @@ class Episode:
     #: Positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and success are
     #: the cursor's.  None where agents see the hand itself.
     cursors: Floats | None = None
+    #: Forces to the left in a channel, see `Channel`: the hand's, and the one that would cancel the
+    #: field, mass · length / s², (n + 1,) each; None without a channel.
+    channel_forces: Floats | None = None
+    ideal_forces: Floats | None = None
     #: The environment's own word on success, where no tolerance is known (NaN); else None.
     is_success: bool | None = None
 
@@ -49,6 +54,14 @@ class Episode:
     def seen_hands(self) -> Floats:
         """Positions of the cursor if there is one, else of the hand, (n + 1, 2)."""
         return self.hands if self.cursors is None else self.cursors
+
+    @property
+    def channel_share(self) -> float:
+        """Slope of the channel's force on the ideal one, through the origin; NaN without one."""
+        if self.channel_forces is None or self.ideal_forces is None or not self.ideal_forces.any():
+            return math.nan
+        ideal = self.ideal_forces
+        return float(self.channel_forces @ ideal / (ideal @ ideal))
 
     @property
     def target(self) -> Floats:

@@ -28,8 +28,9 @@ from mmc_gym.measures.reaching import final_distance, success, time_to_target
 MAX_STEPS = 100_000
 MOST_EPISODES = 1_000_000
 
-# Attributes of an `Episode` and the entries of info that they record; "cursor" may be missing.
+# Attributes of an `Episode` and the entries of info that they record; the last may be missing.
 _SEEN = {"hands": "end_effector", "distances": "distance", "targets": "target", "cursors": "cursor"}
+_SEEN |= {"channel_forces": "channel_force", "ideal_forces": "ideal_force"}
 _REQUIRED = ("distance", "end_effector", "target")
 _EFFORT = ("servo_impulses", "servo_work")
 

@@ -16,9 +16,11 @@ from mmc_gym import TrialLearner, make_vec
 from mmc_gym._errors import UserError
 from mmc_gym.agents.base import Agent
 from mmc_gym.experiments import trials
+from mmc_gym.experiments.adaptation import learning_of
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
 from mmc_gym.experiments.results import ExperimentResult
 from mmc_gym.experiments.trials import read_experiments, run_experiment
+from mmc_gym.geometry import node_positions, segments_from_joint_angles
 from mmc_gym.interface import ReachInterface
 from mmc_gym.report import write_report
 
@@ -284,6 +286,65 @@ def test_agents_of_one_run_may_learn_differently_and_subjects_too(tmp_path: Path
     ):
         with pytest.raises(UserError, match=named):
             run_experiment(SHORT, agents, 1, jobs=1, learners=wrong)
+
+
+class Pulled:
+    """A hand that torques pull to the target, and push aside as a share of a field needs."""
+
+    knows = 0.0
+
+    def __init__(self, env):
+        self.interface, self.limit = ReachInterface.of(env), env.unwrapped.parameters.torque_limit
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        seen = self.interface.look(observation)
+        start, last, step = (seen.hand, seen.hand, 0) if state is None else state
+        way, speed = seen.target - start, (seen.hand - last) / 0.02
+        along = way / np.linalg.norm(way)
+        force = 60 * (start + min(step / 30, 1) * way - seen.hand) - 8 * speed
+        force += self.knows * 20 * (speed @ along) * np.array([-along[1], along[0]])
+        segments = segments_from_joint_angles(seen.joint_angles, (1.0, 1.0, 1.0))
+        nodes = node_positions(segments)[:-1]
+        jacobian = np.stack([(nodes - seen.hand)[:, 1], (seen.hand - nodes)[:, 0]])
+        torques = np.clip(jacobian.T @ force / self.limit, -1, 1).astype(np.float32)
+        return torques, (start, seen.hand, step + 1)
+
+
+class Knowing(Pulled):
+    knows = 1.0
+
+
+def test_a_hand_that_knows_the_field_pushes_against_a_channel_with_the_ideal_force() -> None:
+    blocks = (
+        Block("before", 2, "channel-20", (0.0, 90.0)),
+        Block("learning", 2, "force-field-20", (0.0, 90.0)),
+        Block("channel", 2, "channel-20", (0.0, 90.0)),
+    )
+    agents, how = {"knows": Knowing, "naive": Pulled}, {"env_kwargs": {"control": "joint_torque"}}
+    result = run_experiment(Experiment("push", blocks), agents, 1, jobs=1, **how)
+    of = result.trials.set_index("phase").groupby("agent")["channel_force"]
+    assert of.get_group("knows")["channel"].to_numpy() == pytest.approx(1.0, abs=0.15)
+    assert of.get_group("naive")["channel"].to_numpy() == pytest.approx(0.0, abs=0.15)
+    assert result.trials.loc[result.trials["phase"] == "learning", "channel_force"].isna().all()
+    learning = learning_of(result.movements_of("naive"))
+    assert learning.adaptation[0, -2:] == pytest.approx(0.0, abs=1e-6)  # less that before
+    assert learning.clamps[-2:].tolist() == [0.0, 0.0] and (learning.errors[0, -2:] == 0).all()
+
+
+def test_agents_reach_for_an_instructed_aim_and_what_remains_is_implicit() -> None:
+    learning = Block("aimed", 3, "rotation-45", (90.0,), aim=-45)
+    hidden = Block("after", 2, "no-feedback", (90.0,))
+    experiment = Experiment("aim", (Block("baseline", 2, targets=(90.0,)), learning, hidden))
+    result = run_experiment(experiment, ["mmc-body"], 1, jobs=1)
+    table = result.trials
+    assert table["aim"].tolist() == [0, 0, -45, -45, -45, 0, 0]
+    assert table["cursor_error"][2] == pytest.approx(0.0, abs=6.0)  # the aim cancels the rotation
+    ways = result.targets[:, -1] - result.hands[:, 0]
+    assert np.degrees(np.arctan2(*ways.T[::-1])) == pytest.approx(90.0, abs=1e-3)
+    implicit = learning_of(result.movements_of("mmc-body")).adaptation[0]
+    assert 0 < implicit[3] < implicit[4] < 30 and implicit[5] > 10
+    with pytest.raises(UserError, match="aim of 'a' must be 0 with a clamp, jump or channel"):
+        Block("a", 8, "clamp-15", aim=10)
 
 
 class Known(TrialLearner):
