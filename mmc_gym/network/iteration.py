@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, require, unknown
 from mmc_gym.geometry import Floats
 from mmc_gym.network import chain
-from mmc_gym.network.normalizers import Normalizer
+from mmc_gym.network.normalizers import Normalizer, whole_blocks
 
 # Arms iterated together: their rows, twice, fit the second-level cache of common processors.
 _BLOCK = 4096
@@ -43,22 +43,25 @@ class Iteration:
         rows, _, batch = values.shape
         for start in range(0, batch, _BLOCK):
             block = values[:, :, start : start + _BLOCK]
-            now = block.reshape(rows, -1)
-            following = np.empty_like(now)
+            size = 2 * block.shape[2]
+            now, following = np.zeros((2, rows, whole_blocks(size)), values.dtype)
+            states = [one[:, :size].reshape(block.shape) for one in (now, following)]  # views
+            states[0][:] = block
             for _ in range(times):
                 if self._is_delayed:
-                    self._normalize(now)
+                    self._normalize(states[0])
                 self.operator.dot(now, following)
                 now, following = following, now
+                states.reverse()
                 if not self._is_delayed:
-                    self._normalize(now)
-            block[:] = now.reshape(block.shape)
+                    self._normalize(states[0])
+            block[:] = states[0]
 
     def _normalize(self, values: Floats) -> None:
         segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
-        shape = -1, 2, values.shape[1] // 2
-        self._normalizer.normalize_rows(segments.reshape(shape), self.lengths)
-        values[self.normalized] = segments
+        self._normalizer.normalize_rows(segments, self.lengths)
+        if not isinstance(self.normalized, slice):
+            values[self.normalized] = segments
 
 
 cached_iteration = lru_cache(maxsize=256)(Iteration)

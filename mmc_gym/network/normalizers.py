@@ -31,6 +31,14 @@ from mmc_gym.geometry import Floats
 ShippedNormalizer = Literal["accurate", "paper"]
 WEIGHTS = Path(__file__).parent / "weights"
 
+# A library for matrices sums the columns that are left over from its blocks in another order.
+_BLOCK = 8
+
+
+def whole_blocks(columns: int) -> int:
+    """Return the columns with which a matrix product gives each the same bits in any batch."""
+    return -(-columns // _BLOCK) * _BLOCK
+
 
 class Normalizer(ABC):
     """Brings vectors to given lengths, keeping (about) their direction."""
@@ -127,9 +135,10 @@ class LearnedNormalizer(Normalizer):
     @override
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
         count, _, batch = rows.shape
-        inputs = np.empty((2, count, batch), dtype=rows.dtype)
-        np.divide(rows.transpose(1, 0, 2), lengths, out=inputs)
-        output = self._forward(inputs.reshape(2, -1))[-1].reshape(2, count, batch)
+        shape, size = (2, count, batch), count * batch
+        inputs = np.zeros((2, whole_blocks(size)), dtype=rows.dtype)
+        np.divide(rows.transpose(1, 0, 2), lengths, out=inputs[:, :size].reshape(shape))
+        output = self._forward(inputs)[-1][:, :size].reshape(shape)
         np.multiply(output.transpose(1, 0, 2), lengths[:, None], out=rows)
 
     def _forward(self, inputs: Floats) -> list[Floats]:

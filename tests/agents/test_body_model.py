@@ -1,5 +1,6 @@
 """The agent with an internal model of its body: what each part identifies, and what all reach."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -13,7 +14,7 @@ from mmc_gym.agents.body_model import obstacles
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
-from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
+from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn, turn_share
 from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
@@ -26,6 +27,7 @@ from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 STEP = 0.02
 ARMS = 20
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
+DELTA = replace(INTERFACE, control="joint_delta")
 
 
 def postures(looks, seed=0):
@@ -115,10 +117,11 @@ def test_noise_is_not_taken_for_another_body():
 def test_posture_and_its_noise_are_estimated(noise):
     random, path = np.random.default_rng(2), postures(80)
     speeds = (path[1] - path[0]) / STEP
+    commands = 2 * STEP * speeds / turn_share(DELTA)
     seen = path + noise * random.standard_normal(path.shape)
     track = PostureTrack.start(seen[0], speeds)
     for joint_angles in seen[1:]:
-        track = track.filter(joint_angles, speeds, 2 * STEP * speeds, STEP)
+        track = track.filter(joint_angles, speeds, commands, DELTA)
     assert np.median(track.deviation) == pytest.approx(noise, rel=0.3, abs=1e-9)
     assert np.median(np.abs(track.joint_angles - path[-1])) <= 0.5 * noise + 1e-9
 
@@ -134,7 +137,8 @@ def test_commands_predict_noisy_joints_better_than_speeds_unless_a_joint_is_held
         place += turn
         angle_noise, speed_noise = random.standard_normal((2, ARMS, 1))
         seen, speeds = place + 0.05 * angle_noise, turn / STEP + 0.5 * speed_noise
-        track = track.filter(seen, speeds, np.full((ARMS, 1), commanded), STEP)
+        commands = np.full((ARMS, 1), commanded) / turn_share(DELTA)
+        track = track.filter(seen, speeds, commands, DELTA)
         errors.append(track.joint_angles - place)
     assert np.std(errors[50:]) < (0.03 if is_held else 0.012)  # by speeds alone 0.02 both
 
@@ -170,8 +174,9 @@ def test_delay_is_the_time_until_a_movement_is_felt_and_seen(late, late_sight, n
         delay = delay.record(posture.joint_angles + 1.0, posture, INTERFACE)
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
-        posture = before.filter(before.seen + STEP * turn, speeds, still, STEP)
-        delay = delay.estimate(before, posture, np.array([0.01 * (look >= late_sight)]))
+        posture = before.filter(before.seen + STEP * turn, speeds, still, DELTA)
+        moved = np.array([0.01 * (look >= late_sight)])
+        delay = delay.estimate(before, posture, moved, is_sharp=still[:, 0] == 0)
     assert (delay.late, delay.late + delay.lag) == (late, late_sight)
 
 
@@ -186,6 +191,17 @@ def test_a_hand_that_is_seen_late_changes_no_length(late):
     assert (state.senses.delay.lag == late).all()
 
 
+def test_noise_of_the_joints_is_neither_a_delay_nor_a_change():
+    envs = gym.make_vec("MMCReach-v0", 40, perturbations=("joint-noise-0.05",))
+    (observations, _), state, agent = envs.reset(seed=5), None, mmc_body(ReachInterface.of(envs))
+    changes = []
+    for _ in range(60):
+        actions, state = agent.predict(observations, state)
+        observations, *_ = envs.step(actions)
+        changes.append(state.evidence.change.is_on)
+    assert not state.senses.delay.late.any() and np.mean(changes) < 0.06
+
+
 def last_step(before, after, commanded):
     yes = np.array([True])
     return LastStep(before, after, np.array([commanded]), is_felt=yes, is_clear=yes)
@@ -197,7 +213,7 @@ def locks_after(turns, commanded, lockable=()):
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
         before, seen = posture, posture.joint_angles + turn
-        posture = before.filter(seen, turn / STEP, np.array([commanded]), STEP)
+        posture = before.filter(seen, turn / STEP, np.array([commanded]), DELTA)
         locks = locks.identify(last_step(before, posture, commanded), lockable)
         locked.append(locks.is_locked[0])
     return np.array(locked)
@@ -407,9 +423,9 @@ def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
     after = angles + 0.01 * (speeds + speeds[::-1])
     start = PostureTrack.start(angles, speeds)
     turn = 0.02 * speeds
-    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, STEP)
+    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, DELTA)
     one = PostureTrack.start(angles[:1], speeds[:1])
-    alone = one.filter(after[:1], speeds[-1:], turn[:1], STEP)
+    alone = one.filter(after[:1], speeds[-1:], turn[:1], DELTA)
     np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
     aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
     is_within = np.abs(aims) < 2.9

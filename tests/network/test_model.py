@@ -172,7 +172,7 @@ def test_batches_have_any_axes_and_broadcast():
     assert shapes == [(2, 4, 5, 6, 2), (2, 4, 5, 3), (2, 4, 5, 2)]
     for index in np.ndindex(*state.batch_shape):
         alone = moved(network, segments[index[1], 0], targets[index[0], 0, index[2]], 20)
-        np.testing.assert_allclose(state.segments[index], alone.segments, atol=1e-12)
+        np.testing.assert_array_equal(state.segments[index], alone.segments)
 
 
 def test_batches_larger_than_a_block_are_no_different():
@@ -180,7 +180,18 @@ def test_batches_larger_than_a_block_are_no_different():
     segments, targets = random_segments((size, 3)), random_targets(size)
     state = moved(network, segments, targets, 5)
     alone = moved(network, segments[-7:], targets[-7:], 5)
-    np.testing.assert_allclose(state.segments[-7:], alone.segments, atol=1e-13)
+    np.testing.assert_array_equal(state.segments[-7:], alone.segments)
+
+
+@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), LearnedNormalizer.shipped()])
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+def test_an_arm_has_the_same_bits_in_any_batch(count, normalizer):
+    network = MMCNetwork((1.0,) * count, normalizer=normalizer, dynamics="paper")
+    segments, targets = random_segments((20, count)), random_targets(20)
+    values = moved(network, segments, targets, 5).values
+    for size in (1, 2, 3, 13):
+        some = moved(network, segments[:size], targets[:size], 5).values
+        np.testing.assert_array_equal(some, values[..., :size])
 
 
 def test_nothing_that_is_passed_in_changes():

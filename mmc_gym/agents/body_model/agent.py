@@ -83,6 +83,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         super().__init__(interface)
         self.parts, self.subjects = parts, subjects
         self.has_own_act = type(interface).act is not ReachInterface.act
+        # Squared distances from each joint to the hand of a stretched arm.
+        self._levers = np.cumsum(interface.segment_lengths[::-1])[::-1] ** 2
         self.imagination = Imagination(interface, model, parts.imagines)
         self.road_map = RoadMap(self.imagination)
 
@@ -212,7 +214,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
             hands = state.memory.as_given(hands, joint_angles)
         # Within a movement, agents that learn follow no change: they act on what they believe.
         follows, mirrors = self.parts.follows_changes and not self.learns, not self.learns
-        evidence = state.evidence.add(joint_angles, hands, follows, mirrors)
+        posture = state.senses.posture
+        blur = (posture.doubt * self._levers).sum(axis=-1) if some(posture.noise) else 0.0
+        evidence = state.evidence.add(joint_angles, hands, follows, mirrors, blur)
         return state._replace(evidence=evidence)
 
     def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats]:

@@ -128,7 +128,8 @@ class Change(NamedTuple):
     """The last observations, and how well their trend and the best hypothesis predict the next."""
 
     looks: Looks
-    errors: Floats  # mean square errors of the hypothesis and of the trend, (n, 2)
+    error: Floats  # mean square error of the hypothesis, (n,)
+    error_of_trend: Floats  # and of the trend
     is_on: Bools  # whether the body changes
 
     def body(self, best: Body, given: Body, steps: Floats | float) -> Body:
@@ -150,28 +151,33 @@ class Change(NamedTuple):
         rest = (LEVEL * (seen - factors * felt)).sum(axis=-1)
         return best._replace(turn=best.turn * turn, shift=best.shift + rest)
 
-    def observe(self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools) -> Change:
+    def observe(
+        self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools, blur: Floats | float
+    ) -> Change:
         """Return the memory after one more observation, from the evidence before it.
 
-        The trend is judged only where the hypothesis errs more than usual, or always likewise.
+        The trend is judged only where the hypothesis errs more than usual, or always likewise, and
+        by more than the `blur` of the posture.
         """
-        errors, is_on = np.zeros_like(self.errors), np.zeros_like(is_given)
-        if not every(is_given):
-            error = _square(hand - evidence.best.seen(z[:, :-2]))
-            mean = self.errors[:, 0] + SURPRISE_RATE * (error - self.errors[:, 0])
-            mean = np.where(is_given | (evidence.age == 0), 0.0, mean)
-            usual = evidence.scatter + EXACT
-            fails = (mean > 3 * usual) | (3 * _square(evidence.offset) > usual) | self.is_on
-            errs = np.flatnonzero(fails & ~is_given)
-            errors = np.stack([mean, mean], axis=-1)
-            if len(errs):
-                was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
-                error = _square(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
-                error = was.errors[:, 1] + SURPRISE_RATE * (error - was.errors[:, 1])
-                limit = np.where(was.is_on, ENDS_AT, BEGINS_AT)
-                errors[errs, 1] = error
-                is_on[errs] = error + EXACT < limit * (mean[errs] + EXACT)
-        return Change(Looks(*self.looks[1:], z), errors, is_on)
+        looks, none = Looks(*self.looks[1:], z), np.zeros(len(hand))
+        if every(is_given):
+            return Change(looks, none, none, none > 0)
+        error = _square(hand - evidence.best.seen(z[:, :-2]))
+        mean = self.error + SURPRISE_RATE * (error - self.error)
+        mean[is_given | (evidence.age == 0)] = 0.0
+        usual = evidence.scatter + (EXACT + blur)
+        fails = (mean > 3 * usual) | (3 * _square(evidence.offset) > usual) | self.is_on
+        errs = np.flatnonzero(fails & ~is_given)
+        if not len(errs):
+            return Change(looks, mean, mean, none > 0)
+        error_of_trend, is_on = mean.copy(), none > 0
+        was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
+        error = _square(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
+        error = was.error_of_trend + SURPRISE_RATE * (error - was.error_of_trend)
+        limit = np.where(was.is_on, ENDS_AT, BEGINS_AT)
+        error_of_trend[errs] = error
+        is_on[errs] = error + EXACT < limit * (mean[errs] + EXACT)
+        return Change(looks, mean, error_of_trend, is_on)
 
 
 def _of(state: Any, chosen: NDArray[np.intp]) -> Any:
@@ -189,14 +195,13 @@ def _square(points: Points) -> Floats:
 class BodyEvidence(NamedTuple):
     """Running sums over the observations, and the best hypothesis about the body.
 
-    With e = x − ℓᵀu for the given lengths ℓ, the sums are Σ z̄ zᵀ of z = (u_1 … u_N, e, 1).  Their
-    first N rows and columns have the real part G.  Old observations are slowly forgotten, and fast
-    while the body changes.
+    With e = x − ℓᵀu for the given lengths ℓ, the sums are Σ w zᵀ of z = (u_1 … u_N, e, 1) and
+    w = (x, z̄).  Rows 1 to N have the real part G, and row 0 is for mirrored cursors.  Old
+    observations are slowly forgotten, and fast while the body changes.
     """
 
     age: Floats  # number of observations, (n,)
-    sums: Points  # Σ z̄ zᵀ, (n, N + 2, N + 2)
-    mirrored: Points  # Σ u x, (n, N)
+    sums: Points  # Σ w zᵀ, (n, N + 3, N + 2)
     given: Body  # the body as given
     body: Body  # the best hypothesis
     offset: Points  # mean error that it leaves
@@ -208,14 +213,18 @@ class BodyEvidence(NamedTuple):
     def start(cls, lengths: tuple[float, ...], arms: int) -> BodyEvidence:
         """Return the evidence before any observation, for the given lengths."""
         zero, origin, joints = np.zeros(arms), np.zeros(arms, complex), len(lengths)
-        z, mirrored = (np.zeros((arms, count), complex) for count in (joints + 2, joints))
-        sums = z[:, :, None] * z[:, None, :]
+        z, sums = (np.zeros((arms, *more, joints + 2), complex) for more in ((), (joints + 3,)))
         given = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
-        change = Change(Looks(z, z, z, z, z), np.zeros((arms, 2)), zero > 0)
-        return cls(zero, sums, mirrored, given, given, origin, zero, best=given, change=change)
+        change = Change(Looks(z, z, z, z, z), zero, zero, zero > 0)
+        return cls(zero, sums, given, given, origin, zero, best=given, change=change)
 
     def add(
-        self, joint_angles: Floats, hand: Points, follows: bool = True, mirrors: bool = True
+        self,
+        joint_angles: Floats,
+        hand: Points,
+        follows: bool = True,
+        mirrors: bool = True,
+        blur: Floats | float = 0.0,
     ) -> BodyEvidence:
         """Return the evidence after the hand was seen in a posture.
 
@@ -224,22 +233,23 @@ class BodyEvidence(NamedTuple):
             hand: where the hand was seen.
             follows: whether changes are followed.
             mirrors: whether the cursor may be mirrored.
+            blur: mean square error of the hand that follows from that of the posture.
         """
         units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given.lengths * units).sum(axis=-1)
         z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
-        forget, rate = np.full(1, FORGET), np.maximum(OFFSET_RATE, 1 / age)
+        w = np.concatenate([hand[:, None], z.conj()], axis=1)
+        keep: Any = 1 - FORGET
+        rate = np.maximum(OFFSET_RATE, 1 / age)
         if some(changes):
-            forget = np.where(changes, FORGET_IN_CHANGE, FORGET)
+            keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
             rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
-        keep = 1 - forget[:, None]
-        mirrored = keep * self.mirrored + units * hand[:, None]
-        sums = keep[..., None] * self.sums + z.conj()[:, :, None] * z[:, None, :]
+        sums = keep * self.sums + w[:, :, None] * z[:, None, :]
         is_given = _is_given(sums)
         change = self.change
         if follows:
-            change = change.observe(self, z, hand, is_given)
-        body = self._identify(sums, mirrored if mirrors else None, is_given, age)
+            change = change.observe(self, z, hand, is_given, blur)
+        body = self._identify(sums, mirrors, is_given, age)
         if body is not self.given:
             error = hand - body.seen(units)
         offset = self.offset + rate * (error - self.offset)
@@ -247,7 +257,7 @@ class BodyEvidence(NamedTuple):
         square = _square(offset)
         part = offset * square / (square + scatter + EXACT)
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
-        return BodyEvidence(age, sums, mirrored, self.given, body, offset, scatter, best, change)
+        return BodyEvidence(age, sums, self.given, body, offset, scatter, best, change)
 
     def after(self, steps: Floats | float) -> Body:
         """Return the body as it will be, control steps after the last observation."""
@@ -256,17 +266,16 @@ class BodyEvidence(NamedTuple):
             return self.best
         return where(changes, self.change.body(self.best, self.given, steps), self.best)
 
-    def _identify(
-        self, sums: Points, mirrored: Points | None, is_given: Bools, age: Floats
-    ) -> Body:
+    def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
         """Return the best hypothesis for each arm."""
         if every(is_given):
             return self.given
-        body = where(is_given, self.given, self.body)
         is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
+        if not some(is_due | is_given):
+            return self.body
+        body = where(is_given, self.given, self.body)
         if some(is_due):
-            others = None if mirrored is None else mirrored[is_due]
-            best = most_likely(sums[is_due], others, self.given.lengths[0])
+            best = most_likely(sums[is_due], mirrors, self.given.lengths[0])
             for field, found in zip(body, best, strict=True):
                 field[is_due] = found
         return body
@@ -314,17 +323,17 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
     return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
 
 
-def most_likely(sums: Points, mirrored: Points | None, given: Floats) -> Body:
+def most_likely(sums: Points, mirrors: bool, given: Floats) -> Body:
     """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given.
 
-    With the sums `mirrored`, mirrored cursors are tried where all others leave clear errors.
+    If the cursor may be mirrored, that is tried where all others leave clear errors.
     """
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
-    sums = to_hand @ sums @ to_hand.T
+    mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
     least, error, body = _fit(sums, given)
     unclear = np.flatnonzero(error > CLEAR_ERROR)
-    if mirrored is not None and len(unclear):
+    if mirrors and len(unclear):
         sums = sums[unclear]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[unclear].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
@@ -404,26 +413,23 @@ class Locks(NamedTuple):
         moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
         moves |= np.abs(step.after.speeds) > REST_SPEED + REST_SPEED_PER_NOISE * noise
         is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
-        was_wrong = self.was_wrong | is_freed
-
         is_arm_felt = step.is_felt[:, None] | (step.after.age > FELT_BY)
         rests = ~moves & ~is_freed & is_arm_felt
         commanded = np.where(rests, self.commanded + step.commanded, 0.0)
-        locks = rests & (np.abs(commanded) > _locking_turn(noise, was_wrong, lockable, vigour))
+        least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
+        least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
+        may_lock = np.abs(commanded) > least
+        if not some(self.is_locked | may_lock):
+            place = np.where(moves, seen, self.place)
+            return self._replace(place=place, commanded=commanded, has_changed=may_lock)
+
+        was_wrong = self.was_wrong | is_freed
+        turn = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
+        locks = rests & (np.abs(commanded) > turn)
         if lockable:
             locks[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
-
         stays_locked = self.is_locked & ~is_freed
         is_locked = stays_locked | locks
         place = np.where(moves | locks, seen, self.place)
         place = np.where(stays_locked, self.place + PLACE_RATE * (seen - self.place), place)
         return Locks(place, commanded, is_locked, is_locked != self.is_locked, was_wrong)
-
-
-def _locking_turn(
-    noise: Floats, was_wrong: Bools, lockable: tuple[int, ...], vigour: float
-) -> Floats:
-    """Return the commanded turn from which a resting joint is taken as locked, (n, N), radians."""
-    least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
-    least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
-    return (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)

@@ -116,26 +116,29 @@ class Senses(NamedTuple):
         A hidden hand, or cursor, repeats its last sight, though the joints turn.
         """
         hand = as_points(seen.hand)
-        turned = np.abs(seen.joint_angles - self.felt).max(axis=-1)
-        noise = self.posture.deviation.max(axis=-1)
-        is_new = turned > TURNED + TURNED_PER_NOISE * noise
-        is_hidden = (np.abs(hand - self.hand) < SAME_PLACE) & (self.is_hidden | is_new)
+        is_hidden = np.abs(hand - self.hand) < SAME_PLACE
+        if some(is_hidden):
+            turned = np.abs(seen.joint_angles - self.felt).max(axis=-1)
+            noise = self.posture.deviation[:, 0]
+            is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
         return self._replace(hand=hand, felt=seen.joint_angles, is_hidden=is_hidden)
 
     def update(self, seen: Seen, interface: ReachInterface, parts: Parts) -> Senses:
         """Return the senses after one more observation; movement, and so delay, is seen last."""
         joint_angles, speeds, place = seen.joint_angles, seen.joint_speeds, as_points(seen.target)
         if parts.filters:
-            step = interface.control_step
-            commands = self.delay.commands_seen()
-            commanded = commanded_turn(interface, self.posture.joint_angles, commands)
-            posture = self.posture.filter(joint_angles, speeds, commanded, step)
-            target = self.target.filter(place, step)
+            posture = self.posture.filter(
+                joint_angles, speeds, self.delay.commands_seen(), interface
+            )
+            target = self.target.filter(place, interface.control_step)
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        moved = np.abs(as_points(seen.hand) - self.hand)
-        delay = self.delay.estimate(self.posture, posture, moved)
+        delay = self.delay
+        if not delay.is_known or not every(posture.age > EARLY):
+            moved = np.abs(as_points(seen.hand) - self.hand)
+            is_sharp = target.history[:, -1] == target.history[:, -2]
+            delay = delay.estimate(self.posture, posture, moved, is_sharp)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         postures = self.postures
@@ -201,10 +204,10 @@ class PostureTrack(NamedTuple):
         return cls(joint_angles, still, joint_angles, speeds, none, still, still, age=none + 1)
 
     def filter(
-        self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
+        self, joint_angles: Floats, speeds: Floats, commands: Floats, interface: ReachInterface
     ) -> PostureTrack:
-        """Return the estimate after one more observation, a control step and a command later."""
-        half = control_step / 2
+        """Return the estimate after one more observation, a control step and commands later."""
+        half = interface.control_step / 2
         turn: Floats = half * (speeds + self.speeds)
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
@@ -216,6 +219,7 @@ class PostureTrack(NamedTuple):
         median = np.clip(median, 0.0, LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
+        commanded = commanded_turn(interface, self.joint_angles, commands)
         of_speeds = (unclear * unclear).mean(axis=-1, keepdims=True)
         of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
         of_command += LEAST_ERROR**2
@@ -397,15 +401,21 @@ class Delay(NamedTuple):
         """How much later hand and target are seen than the joints are felt, (n,)."""
         return np.maximum(self.late_sight - self.late, 0.0)
 
-    def estimate(self, before: PostureTrack, posture: PostureTrack, moved: Floats) -> Delay:
+    @property
+    def is_known(self) -> bool:
+        """Whether all arms have been felt and seen to move."""
+        return every(self.is_felt & self.is_seen)
+
+    def estimate(
+        self, before: PostureTrack, posture: PostureTrack, moved: Floats, is_sharp: Bools
+    ) -> Delay:
         """Return the estimate after one more observation of the posture and the hand.
 
+        Joints are never felt later than a hand is seen, if its sight `is_sharp`, (n,): not noisy.
         Values that repeat exactly show no movement, because even noise would change them.  A hand
         that has `moved`, (n,), by more than any late one at its onset was hidden, not late; so is
         one that has not been seen to move for longer than the longest delay.
         """
-        if every(self.is_felt & self.is_seen) and every(posture.age > EARLY):
-            return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
         waited = np.clip(self.due - 1, 0, LONGEST_DELAY)
@@ -417,6 +427,7 @@ class Delay(NamedTuple):
         is_felt = moves | (self.is_felt & keeps)
         due = self.due + (self.due > 0)
         is_seen = self.is_seen | (moved > ONSET_OF_HAND) | is_hidden
+        late = np.where(is_seen & is_sharp, np.minimum(late, late_sight), late)
         return Delay(self.commands, due, late, is_felt, late_sight, is_seen)
 
     def record(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
