@@ -9,6 +9,7 @@ constructor (see `mmc_gym.agents.policy.ALGORITHMS`), and
     perturbations     one of them: what is drawn for each episode, such as [rotation--60..60]; or
                       [{one_of: [rotation--60..60, locks-1..3, null], weights: [2, 2, 1]}]
     vec_env_wrapper   a wrapper around them, a mapping of it to its arguments, or a list of these
+    memory            steps in each block of a memory of observations and actions, see `Memory`
     normalize         true, or arguments of `VecNormalize`, which is put around these
     noise_type        of actions in training: normal, or ornstein-uhlenbeck
     noise_std         its standard deviation
@@ -56,6 +57,7 @@ from mmc_gym._errors import (
 from mmc_gym._files import read_yaml_file
 from mmc_gym.agents.policy import ALGORITHMS
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
+from mmc_gym.training.vec_env import Memory
 
 NOISES = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
 SUFFIXES = (".yml", ".yaml")
@@ -142,6 +144,8 @@ class Recipe:
         try:
             for wrapper, arguments in settings["vec_env_wrapper"]:
                 env = wrapper(env, **arguments)
+            if settings["memory"]:
+                env = Memory(env, settings["memory"])
             env = VecMonitor(env)  # inside, so that its returns are not normalized
             if settings["normalize"] is not None:
                 env = VecNormalize(env, **{**settings["normalize"], "gamma": settings["gamma"]})
@@ -242,6 +246,7 @@ _OUR_KEYS: dict[str, Any] = {  # which are no arguments of the algorithm: type, 
     "n_envs": (_Count, 1),
     "env_kwargs": (dict[str, Any], {}),
     "vec_env_wrapper": (Annotated[list[_WRAPPER], BeforeValidator(_parse_wrappers)], []),
+    "memory": (list[_Count], []),
     "normalize": (Annotated[dict[str, Any] | None, BeforeValidator(_parse_normalization)], None),
     "noise_type": (Literal["normal", "ornstein-uhlenbeck"] | None, None),
     "noise_std": (Annotated[float, Field(ge=0), _Numeric], 0.0),

@@ -162,7 +162,8 @@ class Training:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
         network = export_policy(model.policy, model.get_vec_normalize_env())
-        return network, {"base_agent": getattr(model.get_env(), "base_agent", "")}
+        blocks = tuple(self.recipe.settings["memory"])
+        return network, {"base_agent": getattr(model.get_env(), "base_agent", ""), "blocks": blocks}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
         """Return the head of the checkpoint; None if there is none.  Refuse another training's."""

@@ -1,7 +1,8 @@
-"""Gymnasium's vector environments, which step many arms at once, for stable-baselines3."""
+"""For stable-baselines3: Gymnasium's vector environments, and a memory of observations."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -9,11 +10,13 @@ import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
 from mmc_gym._errors import require
+from mmc_gym.agents.policy_network import History
+from mmc_gym.interface import ReachInterface
 
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 Info = dict[str, Any]
@@ -100,6 +103,57 @@ class GymnasiumVecEnv(VecEnv):
     ) -> list[bool]:
         """Return False for each chosen environment: an arm in a vector has no wrapper."""
         return [False for _ in self._get_indices(indices)]
+
+
+class Memory(VecEnvWrapper):
+    """A reaching environment whose observations are followed by a `History` in blocks.
+
+    It gives a memory of observations and actions to any algorithm, such as plain PPO.
+
+    >>> import gymnasium as gym, mmc_gym
+    >>> env = GymnasiumVecEnv(gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep"))
+    >>> Memory(env, [1, 1, 2, 4]).reset().shape
+    (2, 55)
+    """
+
+    def __init__(self, venv: VecEnv, blocks: Sequence[int]) -> None:
+        """Wrap an environment with Box observations; `blocks` are the steps in each block."""
+        space, self.blocks = venv.observation_space, tuple(blocks)
+        accepted = "Box observations, which MMCReachGoal-v0 has not"
+        require(isinstance(space, gym.spaces.Box), "observation_space", space, accepted)
+        assert isinstance(space, gym.spaces.Box)
+        self._history = History(ReachInterface.of(venv).layout, self.blocks)
+        unbounded = np.full(self._history.size, np.inf, np.float32)
+        low, high = np.concatenate((space.low, -unbounded)), np.concatenate((space.high, unbounded))
+        super().__init__(venv, gym.spaces.Box(low, high, dtype=np.float32))
+
+    @override
+    def reset(self) -> VecEnvObs:
+        observation: Any = self.venv.reset()
+        self._memory = self._history.start(observation)
+        return self._show(observation)
+
+    @override
+    def step_async(self, actions: NDArray[Any]) -> None:
+        done = np.asarray(actions, np.float32)
+        self._memory = self._history.extended(self._now, done, self._memory)
+        self.venv.step_async(actions)
+
+    @override
+    def step_wait(self) -> VecEnvStepReturn:
+        observation, rewards, dones, infos = self.venv.step_wait()
+        seen: Any = observation
+        for index in np.flatnonzero(dones).tolist():
+            last, memory = infos[index]["terminal_observation"], self._memory[index]
+            recalled = self._history.recall(self._history.observed(last, memory), memory)
+            infos[index]["terminal_observation"] = np.concatenate((last, recalled))
+            self._memory[index] = self._history.start(seen[index])
+        return self._show(seen), rewards, dones, infos
+
+    def _show(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        self._now = self._history.observed(observation, self._memory)
+        recalled = self._history.recall(self._now, self._memory)
+        return np.concatenate((observation, recalled), axis=-1)
 
 
 def _row(infos: Info, index: int) -> Info:

@@ -23,6 +23,7 @@ from mmc_gym.measures import run_episodes
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
+from mmc_gym.training.vec_env import Memory
 from studies.learners.ppo_residual import HYPERPARAMETERS
 from studies.learners.random_scenarios import RandomScenarios
 
@@ -35,7 +36,7 @@ OFF_POLICY = {"batch_size": 32, "buffer_size": 1200, "gradient_steps": 1}  # it 
 TINY: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2},
     "ppo-residual": {"n_steps": 50, "batch_size": 50, "vec_env_wrapper": [DELAYS, RESIDUAL]},
-    "sac": {**OFF_POLICY, "learning_starts": 64, "normalize": True},
+    "sac": {**OFF_POLICY, "learning_starts": 64, "normalize": True, "memory": [1, 2]},
     "td3": {**OFF_POLICY, "learning_starts": 64, "normalize": "dict(norm_obs=True)"},
     "a2c": {"n_steps": 25},
     "trpo": {"n_steps": 50, "batch_size": 50},
@@ -232,6 +233,7 @@ def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
         ({"use_sde": True}, "must give a policy that acts: tensors must be"),
         ({"normalize": {"norm": True}}, "unexpected keyword argument 'norm'"),
         ({"vec_env_wrapper": {RESIDUAL: {"base_agent": "ik"}}}, "base_agent must be one of"),
+        ({"memory": [0]}, r"memory.0 must be at least 1, got 0"),
         ({"env_id": "MMCReach-v99"}, "env must be the id of an environment"),
         ({"env_id": "Pendulum-v1"}, "env must be a reaching environment"),
         ({"env_kwargs": {"colour": 1}}, "unexpected keyword argument 'colour'"),
@@ -271,13 +273,14 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     file.write_text(
         "MMCReach-v0:\n  perturbations: [rotation--60..60, {one_of: [locks-1..3, null]}]\n"
         "  env_kwargs: {observe_context: true}\n  policy: MlpPolicy\n"
-        "  n_timesteps: 400\n  n_envs: 4\n  n_steps: 100\n  batch_size: 100\n"
+        "  n_timesteps: 400\n  n_envs: 4\n  n_steps: 100\n  batch_size: 100\n  memory: [1, 2]\n"
     )
     card = module.train(file, out=tmp_path).card
     scale = ["rotation--60..60", {"one_of": ["locks-1..3", None], "weights": [1.0, 1.0]}]
     assert card.context == card.hyperparameters["env_kwargs"]["perturbations"][:1] + scale[1:]
     agent = resolve(str(tmp_path))
-    assert agent.knowledge.senses.endswith("what was drawn for the episode")
+    remembers = "remembers its last 3 steps; and what was drawn for the episode"
+    assert agent.knowledge.senses.endswith(remembers)
     scenario = parse_scenario("rotation-90+locks-2-known")
     env, player = make_player(agent, scenario)
     assert env.reset()[0][-3:].tolist() == [1.5, 1.0, 0.0]
@@ -297,3 +300,25 @@ def test_wrong_types_of_arguments_are_named():
         mmc_gym.train("ppo", steps=1, out=3)
     with pytest.raises(UserError, match="env_kwargs must be a mapping, got 3"):
         mmc_gym.train("ppo", steps=1, env_kwargs=3)  # type: ignore[arg-type]
+
+
+def test_a_policy_remembers_in_play_what_it_saw_in_training(tmp_path):
+    card = training("ppo", tmp_path, memory=[1, 2, 3], n_timesteps=400).run()
+    assert card.blocks == (1, 2, 3)
+    network, _ = load_policy(tmp_path / "ppo-3.json")
+    seen = Memory(module.make_vec_env("MMCReach-v0", 2, {}), card.blocks)
+    envs = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
+    agent = mmc_gym.make_agent(str(tmp_path), gym.make("MMCReach-v0"))
+    seen.seed(1)
+    shown, (observation, _) = seen.reset(), envs.reset(seed=1)
+    state, starts = None, np.ones(2, dtype=bool)
+    for step in range(120):
+        action, state = agent.predict(observation, state, starts, deterministic=True)
+        np.testing.assert_array_equal(action, network.act(shown), str(step))
+        last = shown
+        shown, _, starts, infos = seen.step(action)
+        observation = envs.step(action)[0]
+        if starts.any():
+            assert infos[0]["terminal_observation"].shape == last[0].shape
+    with pytest.raises(UserError, match="observation_space must be Box observations"):
+        Memory(module.make_vec_env("MMCReachGoal-v0", 2, {}), [1])
