@@ -10,11 +10,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.geometry import Floats, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 
-TURN, STEPS, EPISODES = (
-    0.2,
-    25,
-    3,
-)  # radians that each joint is asked to turn, and in how many steps
+TURN, STEPS = 0.2, 25  # radians that each joint is asked to turn, and in how many steps
+EPISODES = 3  # that are begun
 CLOSE = 0.02  # shares of the reach, or of what is compared
 
 

@@ -148,8 +148,8 @@ def _headline(results: Results) -> str:
     return " ".join(said)
 
 
-def _learning_curves(results: Results) -> dict[str, str] | None:
-    """Return a picture of the learning curves of all agents, and its description.
+def _learning_curves(results: Results) -> str | None:
+    """Return a picture of the learning curves of all agents.
 
     There is none if no agent in focus has a curve, or if the seeds of no agent overlap.
     """
@@ -162,10 +162,7 @@ def _learning_curves(results: Results) -> dict[str, str] | None:
     by_steps, by_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if by_steps.empty or by_time.empty:
         return None
-    return {
-        "source": _picture(draw_learning_curves(by_steps, by_time)),
-        "description": "Success during training against environment steps, and against time",
-    }
+    return _picture(draw_learning_curves(by_steps, by_time))
 
 
 def _picture(figure: Figure) -> str:
