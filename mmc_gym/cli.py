@@ -209,7 +209,7 @@ def benchmark(
 
     Args:
         agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
-            accepts; all that ship, if not given.
+            accepts; if not given, all that ship but ppo-drawn and ppo-context.
         scenarios: Names, such as random or centre-out+delay-150, or your own environments, by id,
             module:Id or module:function; all that ship, if not given.
         episodes: Episodes in each scenario; numbered trials are played once each.
@@ -224,6 +224,7 @@ def benchmark(
 
     shared = {**more.load(), "interface": interface}
     failed: list[str] = []
+    ranked = [name for name, one in AGENTS.items() if one.is_ranked]
     with progress_bar() as bar:
         task = bar.add_task("cells")
 
@@ -233,7 +234,7 @@ def benchmark(
                 failed.append(f"{one.agent} in {one.environment}: {one.reason}")
 
         runner.benchmark(
-            agents or (*AGENTS, REFERENCE),
+            agents or (*ranked, REFERENCE),
             out,
             scenarios,
             episodes,

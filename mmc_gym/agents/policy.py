@@ -199,6 +199,11 @@ class PolicyAgent(Agent[Any]):
             raise CannotActError(
                 f"env must have {card.segment_count} segments for this policy, got {count}"
             )
+        if card.context and not layout.context_size:
+            raise CannotActError(
+                f"env must show the context as in the training of {card.file_stem}: make it with "
+                f"observe_context={card.context}"
+            )
         self._gives_positions = (card.control, interface.control) == POSITIONS_FROM_DELTAS
         if card.control != interface.control and not self._gives_positions:
             raise ControlError(

@@ -78,6 +78,7 @@ class AgentEntry:
     training_seeds: int = 0  #: how many trainings of it ship with the package; 0 if untrained
     settings: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the maker, by name
     draws_actions: bool = False  #: whether the maker is also given the `space` of actions
+    is_ranked: bool = True  #: whether it takes part in a benchmark unless others are named
 
     def build(self, interface: ReachInterface, **settings: Any) -> Agent[Any]:
         """Make it from an interface; `settings` are further arguments of its maker."""
@@ -108,6 +109,7 @@ def _trained(
     base_agent: str = "",
     memory: int = 0,
     context: bool = False,
+    is_ranked: bool = True,
     command: str = "mmc-gym train {}",
 ) -> dict[str, AgentEntry]:
     """Return the entry of a policy that ships, under its name."""
@@ -119,6 +121,7 @@ def _trained(
             control,
             training_seeds,
             settings={"name": name},
+            is_ranked=is_ranked,
         )
     }
 
@@ -162,9 +165,21 @@ AGENTS: dict[str, AgentEntry] = {
     **_trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
     **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
     **_trained(
+        "ppo-drawn",
+        "PPO under perturbations that are drawn for each episode",
+        1,
+        is_ranked=False,
+    ),
+    **_trained(
+        "ppo-context",
+        "as ppo-drawn, but it is shown what was drawn",
+        1,
+        context=True,
+        is_ranked=False,
+    ),
+    **_trained(
         "ppo-memory",
-        "a memory of 1.4 s, taught by PPO that is given the truth, under perturbations drawn for "
-        "each episode",
+        "a memory of 1.4 s, taught by ppo-context under perturbations drawn for each episode",
         3,
         memory=68,
         command="python -m studies.learners.ppo_memory",

@@ -39,6 +39,7 @@ class Arguments:
     seeds: int | None = None  # Number of trainings of each; as many as ship, if not given
     jobs: int = loky.cpu_count()  # How many are trained at once
     steps: int | None = None  # Environment steps, instead of those of the hyperparameters
+    evaluations: int = 25  # Approximate number of evaluations during a training
 
 
 def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
@@ -49,7 +50,8 @@ def train(name: str, seed: int, arguments: Arguments) -> PolicyCard:
         _, card = load_policy(arguments.out / f"{stem}.json")
         if (card.env_id, card.hyperparameters) == (recipe.env_id, recipe.hyperparameters):
             return card
-    training = Training(recipe, seed, arguments.out / "checkpoints" / stem)
+    folder = arguments.out / "checkpoints" / stem
+    training = Training(recipe, seed, folder, evaluations=arguments.evaluations)
     card = training.run(resume=True)
     for file in training.policy_files:
         shutil.copy(file, arguments.out)

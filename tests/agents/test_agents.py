@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents import AGENTS, resolve
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
@@ -54,8 +54,9 @@ def success_rate(name, episodes, env_id="MMCReach-v0", **options):
 @pytest.mark.parametrize("name", AGENTS)
 def test_actions_lie_in_the_action_space_single_and_batched(name):
     for env_id in ("MMCReach-v0", "MMCReachGoal-v0"):
-        env = gym.make(env_id, control=AGENTS[name].control or "joint_delta")
-        envs = gym.make_vec(env_id, 2, control=env.unwrapped.control)
+        options = {"control": AGENTS[name].control or "joint_delta", **resolve(name).arguments}
+        env = gym.make(env_id, **options)
+        envs = gym.make_vec(env_id, 2, **options)
         agent = make_agent(name, env)
         action, _ = agent.predict(env.reset(seed=0)[0])
         assert env.action_space.contains(action)  # float32 as well
@@ -82,9 +83,8 @@ WORLDS["all mixed"] = [
 def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
     """Bit for bit; of policies, sums in single precision may differ in their last bits."""
     count = 1 if world == "all mixed" else 9
-    make = partial(
-        gym.make_vec, "MMCReach-v0", count, control=AGENTS[name].control or "joint_delta"
-    )
+    shown = {"control": AGENTS[name].control or "joint_delta", **resolve(name).arguments}
+    make = partial(gym.make_vec, "MMCReach-v0", count, **shown)
     envs = [make(**options) for options in WORLDS[world]]
     agent, together = make_agent(name, envs[0]), None
     observations = np.concatenate([one.reset(seed=60_000)[0] for one in envs])

@@ -68,7 +68,8 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
 @pytest.mark.parametrize("name", AGENTS)
 def test_an_agent_is_built_by_the_function_that_its_entry_names(name):
     entry = AGENTS[name]
-    env = gym.make("MMCReach-v0", control=entry.control or "joint_delta")
+    shown = resolve(name).arguments
+    env = gym.make("MMCReach-v0", control=entry.control or "joint_delta", **shown)
     assert callable(entry.build(ReachInterface.of(env)).predict)
 
 
