@@ -203,6 +203,7 @@ def benchmark(
     jobs: OtherNumber = None,
     cluster: Text = None,
     interface: Text = None,
+    protocol: Annotated[Literal["", "generalisation"], _arg("generalisation")] = "",
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep every episode in a store, print a ranking.
@@ -218,13 +219,19 @@ def benchmark(
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
+        protocol: Scenarios inside, between and beyond the ranges that the first agent trained on
+            some was trained on, and combinations.
     """
-    from mmc_gym.agents import AGENTS, REFERENCE
-    from mmc_gym.benchmark import ranking, runner
+    from mmc_gym.agents import AGENTS, REFERENCE, resolve_all
+    from mmc_gym.benchmark import generalisation, ranking, runner
 
     shared = {**more.load(), "interface": interface}
     failed: list[str] = []
     ranked = [name for name, one in AGENTS.items() if one.is_ranked]
+    agents = agents or (*ranked, REFERENCE)
+    if protocol:
+        cards = (one.card for one in resolve_all(agents, allow_pickle=shared["allow_pickle"]))
+        scenarios = (*scenarios, *generalisation.protocol(cards))
     with progress_bar() as bar:
         task = bar.add_task("cells")
 
@@ -234,7 +241,7 @@ def benchmark(
                 failed.append(f"{one.agent} in {one.environment}: {one.reason}")
 
         runner.benchmark(
-            agents or (*ranked, REFERENCE),
+            agents,
             out,
             scenarios,
             episodes,
@@ -317,6 +324,7 @@ def report(
     out: OtherPlace = None,
     focus: Names = (),
     format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
+    yardstick: Annotated[str, _arg("NAME")] = "",
     more: ImportOptions = NO_IMPORTS,
 ) -> None:
     """Write the report of a benchmark or of experiments: one HTML file, complete in itself.
@@ -326,12 +334,14 @@ def report(
         out: The file to write; report.html or report.md in the store if not given.
         focus: The agents that the report is about; your own, or else the first, if not given.
         format: html, or md for the tables in Markdown, as in a pull request.
+        yardstick: Agent to whom the others have regret, where one was trained on ranges; the best,
+            if not given.
     """
     from mmc_gym import report
 
     more.load()
     file = out or store / f"report.{format}"
-    report.write_report(store, file, focus=focus, format=format)
+    report.write_report(store, file, focus=focus, format=format, yardstick=yardstick)
     print(f"wrote {file}")
 
 

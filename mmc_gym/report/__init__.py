@@ -43,6 +43,7 @@ def write_report(
     *,
     focus: Sequence[str] = (),
     format: Format = "html",
+    yardstick: str = "",
 ) -> Path:
     """Write the report of a store, and return its file.
 
@@ -53,6 +54,8 @@ def write_report(
         focus: names of the agents that it is about; by default your own (files, models, modules
             and objects), or else the first that took part.
         format: "html", or "md" for its tables in Markdown.
+        yardstick: name of the agent to whom the others have regret, if one was trained on ranges;
+            by default the best.
 
     Raises:
         UserError: also if the store is damaged or has no episodes.
@@ -71,7 +74,7 @@ def write_report(
     if experiments and not (Path(store) / MANIFEST).exists():
         shown = _titles(experiments, focus)
     else:
-        results = read_results(Path(store), resamples, focus)
+        results = read_results(Path(store), resamples, focus, yardstick)
         focus, shown = results.focus, _of_benchmark(results, format)
     shown["experiments"] = [_of_experiment(one, focus) for one in experiments]
     return write_atomically(out, _render(shown, format))
@@ -126,6 +129,7 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
         "headline": _headline(results),
         "ranking": tables.ranking_table(results),
         "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
+        "generalisation": tables.generalisation_table(results),
         "given": tables.given_table(results),
         "failures": tables.failure_table(results),
         "tables": {key: tables.score_table(results, key) for key in results.environments},
@@ -133,6 +137,10 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
     }
     if format == "html":
         shown |= {"replay": replay(results), "learning": _learning_curves(results)}
+        if shown["generalisation"]:
+            from mmc_gym.report.curves import draw_generalisation  # takes long
+
+            shown["strengths"] = _picture(draw_generalisation(results))
     return shown
 
 

@@ -14,6 +14,7 @@ does.  A training runs on one thread: on an idle core its wall time is the same.
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,6 +32,8 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.statistics import success_interval
+from mmc_gym.envs.names import BASELINE, FAMILIES
+from mmc_gym.report.results import Results
 
 
 def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:
@@ -141,3 +144,42 @@ def _draw_curves(axes: Axes, curves: pd.DataFrame, along: pd.Series[float]) -> N
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
     axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def draw_generalisation(results: Results) -> Figure:
+    """Draw success against strength, a panel for each family, with the trained ranges shaded."""
+    panels = {
+        family: {one.strength: name for name, one in results.judged.items() if one.family == family}
+        for family in results.ranges
+        if not FAMILIES[family].whole  # the number of a joint is no strength
+    }
+    panels = {family: dict(sorted(one.items())) for family, one in panels.items() if len(one) > 1}
+    names = [one for one in results.agents if results.kind(one) not in ("ideal", "baseline")]
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+        rows = math.ceil(len(panels) / 4)
+        figure = Figure(figsize=(8.6, 1.9 * rows + 0.8), layout="constrained")
+        drawn = figure.subplots(rows, 4, sharey=True, squeeze=False)
+        for axes in drawn.flat[len(panels) :]:
+            axes.axis("off")
+        for axes, (family, scenarios) in zip(drawn.flat, panels.items(), strict=False):
+            if BASELINE in results.successes:
+                scenarios = dict(sorted({**scenarios, 0.0: BASELINE}.items()))
+            for one in results.ranges[family]:
+                axes.axvspan(*one.support(), color="0.9", linewidth=0)
+            for number, agent in enumerate(names):
+                found = {
+                    strength: results.successes[name].estimate(agent).estimate
+                    for strength, name in scenarios.items()
+                    if agent in results.successes[name].scores.values
+                }
+                look = {
+                    "color": _COLOURS[number % len(_COLOURS)],
+                    "linestyle": LINES[number % len(LINES)],
+                    "marker": _MARKERS[number % len(_MARKERS)],
+                }
+                axes.plot([*found], [*found.values()], markersize=3, label=agent, **look)
+            axes.set(xlabel=f"{family} [{FAMILIES[family].unit}]", ylim=(-0.02, 1.02))
+            axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
+        handles, labels = drawn.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False)
+    return figure

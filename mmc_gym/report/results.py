@@ -18,6 +18,14 @@ from mmc_gym._errors import UserError, unknown
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
+from mmc_gym.benchmark.generalisation import (
+    PLACES,
+    Judged,
+    Place,
+    Ranges,
+    place_of,
+    trained_ranges,
+)
 from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
 from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap
 from mmc_gym.benchmark.store import (
@@ -122,6 +130,19 @@ class Results:
     resamples: int  #: number of bootstrap resamples in the tables of single scenarios
     ranking_resamples: int  #: number of those of the ranking
     store: Path  #: the folder
+    yardstick: str  #: the agent to whom the others have regret; empty without one
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """The ranges of the first agent that was trained on some; empty if none was."""
+        cards = [card for agent in self.agents for card in self.identities[agent].cards[:1]]
+        return trained_ranges(cards)
+
+    @cached_property
+    def judged(self) -> dict[str, Judged]:
+        """The scenarios that can be judged by these ranges."""
+        found = {name: place_of(name, self.ranges) for name in self.environments}
+        return {name: one for name, one in found.items() if one is not None}
 
     @cached_property
     def controls(self) -> dict[str, str]:
@@ -191,7 +212,7 @@ class Results:
     @cached_property
     def successes(self) -> dict[str, Bootstrap]:
         """For `ALL` and each scenario, the success of the agents that attempted it."""
-        scores = attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
+        scores = attempted_scores(self.episodes, self._not_played)
         frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
         if not self.ranking.empty and len(frames) > 1:
             frames[ALL] = ranked_scores(scores)
@@ -202,6 +223,21 @@ class Results:
             for name in (ALL, *self.environments)
             if name in frames
         }
+
+    @cached_property
+    def places(self) -> dict[Place, Bootstrap]:
+        """The success over all scenarios of a place that all agents attempted."""
+        scores, found = attempted_scores(self.episodes, self._not_played), {}
+        for place in PLACES:
+            names = [name for name, one in self.judged.items() if one.place == place]
+            with suppress(UserError):  # there is none
+                here = ranked_scores(scores[scores["environment"].isin(names)])
+                found[place] = Bootstrap.of(here, "success", self.resamples)
+        return found
+
+    @property
+    def _not_played(self) -> list[CellKey]:
+        return [one.key for one in self.manifest.not_played]
 
     @property
     def sample_sizes(self) -> str:
@@ -280,10 +316,12 @@ def _span(counts: pd.Series[int]) -> str:
     return str(least) if least == most else f"{least} to {most}"
 
 
-def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = ()) -> Results:
+def read_results(
+    store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = (), yardstick: str = ""
+) -> Results:
     """Read the store in a folder, and rank its agents with so many `resamples`.
 
-    Those of single scenarios are at most `SCORE_RESAMPLES`.  For `focus` see `write_report`.
+    Those of single scenarios are at most `SCORE_RESAMPLES`.  For the others see `write_report`.
     """
     manifest = read_manifest(store)
     require_all_cells(store, manifest)
@@ -294,6 +332,8 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
     chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
+    if yardstick and yardstick not in identities:
+        raise unknown("yardstick", yardstick, identities)
     ranking, present = pd.DataFrame(), set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
         lost = [one.key for one in manifest.not_played]
@@ -301,6 +341,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
         ranking = rank_agents(
             episodes, lost, baseline=chosen[0], resamples=resamples, controls=controls
         )
+    best = next(iter(ranking["agent"] if len(ranking) else ()), "")
     return Results(
         manifest=manifest,
         episodes=episodes,
@@ -320,6 +361,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
         resamples=min(resamples, SCORE_RESAMPLES),
         ranking_resamples=resamples,
         store=store,
+        yardstick=yardstick or str(best),
     )
 
 

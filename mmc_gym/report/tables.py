@@ -20,6 +20,7 @@ from mmc_gym.report.results import Results, count
 if TYPE_CHECKING:
     from mmc_gym.experiments.results import ExperimentResult
 
+_LOST = 3  # scenarios in which an agent loses most
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
 _BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
@@ -123,6 +124,43 @@ def _signed(share: float) -> str:
     """Return a difference of fractions in percent, with its sign."""
     text = f"{100 * share:+.1f}"
     return text.replace("-", "−") if float(text) else "0.0"
+
+
+def generalisation_table(results: Results) -> Table | None:
+    """Return success and regret by where strengths are; None if no agent was trained on ranges."""
+    places, best = results.places, results.yardstick
+    if not places or not best:
+        return None
+    rows = []
+    for agent in (one for one in results.agents if one != REFERENCE):
+        cells = []
+        for found in places.values():
+            lost, own = found.difference(best, agent), found.estimate(agent)
+            ends = f"[{_signed(lost.low)}, {_signed(lost.high)}]"
+            note = "" if agent == best else f"{_signed(lost.estimate)} {ends}"
+            cells.append(Cell(_SUCCESS.number(own.estimate), _notes(note)))
+        both = {name: results.successes[name] for name in results.judged}
+        lost_in = {
+            name: found.difference(best, agent).estimate
+            for name, found in both.items()
+            if {agent, best} <= found.scores.values.keys()
+        }
+        worst = sorted(lost_in, key=lambda name: -lost_in[name])[:_LOST]
+        most = [f"{name} {_signed(lost_in[name])}" for name in worst if lost_in[name] > 0]
+        rows.append(_row(results, agent, (*cells, Cell(", ".join(most) or "nowhere"))))
+    headings = [
+        Heading(place, count(len(found.scores.instances), "scenario"))
+        for place, found in places.items()
+    ]
+    return Table(
+        headings=(Heading("agent"), *headings, Heading("loses most in", is_text=True)),
+        rows=tuple(rows),
+        caption="Success, %, inside the ranges of a training, between them, beyond them, and in "
+        f"combinations of what it only met one at a time. Below: regret to {best}, how much more "
+        "often that ends at the target, with its 95 % interval; below 0 where learning beats it.",
+        title="Strengths that a training never had",
+        look="scores",
+    )
 
 
 def given_table(results: Results) -> Table:

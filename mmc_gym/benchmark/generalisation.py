@@ -1,0 +1,119 @@
+"""Generalisation: how good an agent is at strengths of perturbations that its training never had.
+
+A policy that was trained on ranges of strengths is judged inside these ranges, between them, beyond
+them, and in combinations of perturbations that it only met one at a time.  Regret is how much more
+often an agent to compare with, such as one that is given the truth, ends at the target.
+
+Sources: Kirk, Zhang, Grefenstette & Rocktäschel (2023), A survey of zero-shot generalisation in
+deep reinforcement learning, JAIR 76:201, https://arxiv.org/abs/2111.09794.  Benjamins et al.
+(2023), Contextualize me – the case for context in reinforcement learning, TMLR,
+https://arxiv.org/abs/2202.04500.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+
+from mmc_gym._errors import UserError
+from mmc_gym.envs.drawn import OneOf
+from mmc_gym.envs.names import BASELINE, FAMILIES, Change, Range, as_change
+from mmc_gym.envs.scenarios import Scenario, parse_scenario
+
+if TYPE_CHECKING:
+    from mmc_gym.agents.policy import PolicyCard
+
+Place = Literal["inside", "between", "beyond", "combined"]
+PLACES: tuple[Place, ...] = get_args(Place)
+BEYOND = (1.25, 1.5)
+"""Strengths beyond a range, as multiples of its end."""
+
+Ranges = Mapping[str, Sequence[Range]]
+"""Ranges of strengths by the name of their family, in order; no change is strength 0 of all."""
+
+
+class Judged(NamedTuple):
+    """A scenario as it is judged."""
+
+    place: Place
+    family: str = ""  #: empty for a combination
+    strength: float = 0.0
+
+
+def trained_ranges(cards: Iterable[PolicyCard | None]) -> Ranges:
+    """Return the ranges of the first training that had any; empty if none had."""
+    for card in cards:
+        arguments = card.hyperparameters.get("env_kwargs") or {} if card else {}
+        if found := _ranges(arguments.get("perturbations", ())):
+            return found
+    return {}
+
+
+def _ranges(perturbations: Any) -> Ranges:
+    several = isinstance(perturbations, list | tuple)
+    found: dict[str, list[Range]] = defaultdict(list)
+    for change in map(as_change, perturbations if several else [perturbations]):
+        mixture = change.perturbation
+        for one in mixture.options if isinstance(mixture, OneOf) else (change,):
+            if one is not None and one.family is not None and one.range is not None:
+                found[one.family.name].append(one.range)
+    return {name: sorted(ranges, key=lambda one: one.low) for name, ranges in found.items()}
+
+
+def place_of(scenario: str, ranges: Ranges) -> Judged | None:
+    """Return where a scenario is; None if it has a perturbation without a range."""
+    with suppress(UserError):  # an environment of yours
+        changes = parse_scenario(scenario).changes
+        families = [one.family.name if one.family else "" for one in changes]
+        if not changes or not ranges.keys() >= {*families}:
+            return None
+        if len(changes) > 1:
+            return Judged("combined")
+        strength, own = changes[0].strength or 0.0, ranges[families[0]]
+        if any(one.low <= strength <= one.high for one in own):
+            return Judged("inside", families[0], strength)
+        within = min(0.0, own[0].low) < strength < max(one.high for one in own)
+        return Judged("between" if within else "beyond", families[0], strength)
+    return None
+
+
+def protocol(cards: Iterable[PolicyCard | None]) -> list[str]:
+    """Return the scenarios of the protocol: no change, each family's strengths, and pairs.
+
+    The ranges are those of the first of these cards that has any.
+    Strengths are the ends and the middle of each range, the middle of each gap, and `BEYOND`.  Each
+    family is combined with the next one, both in the middle of their last ranges.
+    """
+    ranges = trained_ranges(cards)
+    if not ranges:
+        raise UserError(
+            "agents must have one that was trained on ranges of strengths, such as ppo-drawn, or "
+            "yours of mmc-gym train ppo --on 'rotation--60..60'"
+        )
+    singles: list[Scenario] = []
+    middles: list[Change] = []
+    for name, own in ranges.items():
+        known = sorted({0.0, *(end for one in own for end in one.support())})
+        strengths = {*known, *((low + high) / 2 for low, high in pairwise(known))}
+        strengths |= {share * end for share in BEYOND for end in (known[0], known[-1])}
+        if own[0].whole:
+            strengths = {*range(int(own[0].low), int(own[-1].high) + 1)}
+        for strength in sorted(strengths - {0}):
+            with suppress(UserError):  # there is no such strength
+                change = FAMILIES[name].with_strength(float(f"{strength:.3g}"))
+                singles.append(parse_scenario(change.name))
+        middle = (own[-1].low + own[-1].high) / 2
+        middles.append(FAMILIES[name].with_strength(int(middle) if own[0].whole else middle))
+    pairs = zip(middles, [*middles[1:], *middles[:1]], strict=True)
+    combined = [parse_scenario(f"{one.name}+{other.name}") for one, other in pairs if one != other]
+    return [BASELINE, *(one.name for one in (*singles, *combined) if _is_possible(one))]
+
+
+def _is_possible(scenario: Scenario) -> bool:
+    """Tell whether there is such an environment."""
+    with suppress(UserError), closing(scenario.make()):
+        return True
+    return False
