@@ -248,14 +248,25 @@ class Draws:
         What no perturbation sets is as it changes nothing, or 0.
         """
         low, high = np.array([[one.low, one.high] for one in self.strengths]).T
-        numbers, left, chosen = (low + high) / 2, list(changes), set()
-        for part in self._parts:
-            pairs = ((one, part.read(one)) for one in left)
-            one, found = next((pair for pair in pairs if pair[1] is not None), (None, None))
-            if one is not None:
-                left.remove(one)
-                chosen.add(part.chosen)
-            for place, number in zip(part.places, found or part.read(None) or (), strict=True):
+        numbers, read = (low + high) / 2, [part.read(None) for part in self._parts]
+        left = set(range(len(self._parts)))
+
+        def misfit(index: int) -> tuple[bool, float]:
+            part = self._parts[index]
+            places = zip(part.places, found[index] or (), strict=True)
+            beyond = [max(low[k] - x, x - high[k], 0.0) for k, x in places if x is not None]
+            return part.family is not change.family, sum(beyond)
+
+        for change in changes:
+            found = {index: self._parts[index].read(change) for index in left}
+            fit = [index for index in left if found[index] is not None]
+            if fit:
+                best = min(sorted(fit), key=misfit)
+                left.remove(best)
+                read[best] = found[best]
+        chosen = {part.chosen for index, part in enumerate(self._parts) if index not in left}
+        for part, of_part in zip(self._parts, read, strict=True):
+            for place, number in zip(part.places, of_part or (), strict=True):
                 numbers[place] = numbers[place] if number is None else number
         return self._shown(numbers, lambda *option: option in chosen)
 

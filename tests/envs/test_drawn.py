@@ -283,3 +283,24 @@ def test_a_range_is_a_name():
     assert scenario.settings != parse_scenario("longer--30..30+joint-noise-0..0.05").settings
     plain = as_json({"one": VisuomotorRotation(uniform(-60, 120))})
     assert plain["one"]["degrees"] == {"name": "uniform", "args": [-60, 120]}
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "strength"),
+    [
+        ("rotation--40", 0, 0.0),
+        ("rotation-40", 1, 0.0),
+        ("rotation-10", 1, -1.5),
+        ("longer-20", 2, 1.0),
+        ("shorter-25", 3, 0.0),
+    ],
+)
+def test_the_context_of_a_strength_is_that_of_the_range_it_is_in_or_nearest_to(
+    name, option, strength
+):
+    options = ["rotation--60..-20", "rotation-20..60", "longer-0..20", "shorter-0..50"]
+    env = mmc_gym.make(name, observe_context=[{"one_of": [None, *options]}])
+    shown = env.reset(seed=0)[0][15:]
+    expected = np.zeros(8)
+    expected[[option, 4 + option]] = 1.0, strength
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
