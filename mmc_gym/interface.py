@@ -434,13 +434,15 @@ class ReachInterface:
         """Return all that observations show."""
         layout = self.layout
         values = np.asarray(layout.flatten(layout.check(observation)), np.float64)
-        parts, joint_angles = layout.split(values), self._joint_angles(values)
-        target = in_the_world(parts.target, joint_angles)
+        joint_angles, end = self._joint_angles(values), layout.posture_size
+        pair = values[..., end : end + 4].reshape(*values.shape[:-1], 2, 2)  # target and offset
+        points: Floats = in_the_world(pair, joint_angles[..., None, :])
+        target = points[..., 0, :]
         return Seen(
             joint_angles=self.within_limits(joint_angles),
             target=target,
-            joint_speeds=parts.speeds * self.speed_limit,
-            hand=target - in_the_world(parts.offset, joint_angles),
+            joint_speeds=values[..., 2 * layout.joint_count : end] * self.speed_limit,
+            hand=target - points[..., 1, :],
         )
 
     def _joint_angles(self, values: Floats) -> Floats:

@@ -93,7 +93,7 @@ def test_a_cursor_that_changes_is_predicted_if_changes_are_followed(cursor, foll
     for time, joint_angles in enumerate(postures(62)):
         units = np.exp(1j * np.cumsum(joint_angles, axis=-1))
         hand = CURSORS[cursor](time) * units.sum(axis=-1)
-        miss = np.abs(evidence.after(1.0).seen(units) - hand)
+        miss = np.abs(evidence.after(np.ones(ARMS)).seen(units) - hand)
         evidence = evidence.add(joint_angles, hand, follows)
     assert (np.median(miss) < 0.01) == follows
 

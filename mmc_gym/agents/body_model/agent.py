@@ -146,10 +146,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given)
         return state._replace(memory=memory)
 
-    def _body(self, state: BodyState, steps: Floats | float = 0.0) -> Body:
-        """Return the body to act on."""
-        best, given = state.evidence.after(steps), state.evidence.given
-        return state.memory.body(best, given.lengths, self.parts) if self.learns else best
+    def _body(self, state: BodyState, best: Body) -> Body:
+        """Return the body to act on, from the best hypothesis."""
+        given = state.evidence.given.lengths
+        return state.memory.body(best, given, self.parts) if self.learns else best
 
     def _observe(self, state: BodyState, seen: Seen) -> BodyState:
         """Update what is seen and identified; `start` has entered the first observation already.
@@ -199,7 +199,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if not self.parts.avoids:
             return state
         counts = step.is_clear & ~state.locks.is_locked.any(axis=-1)
-        contacts = state.contacts.locate(step, self._body(state).lengths, counts)
+        lengths = self._body(state, state.evidence.best).lengths
+        contacts = state.contacts.locate(step, lengths, counts)
         drive = state.drive
         if some(contacts.is_new):
             strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
@@ -236,7 +237,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if held is not None:
             now = np.where(held, locks.place, now)
         ahead = delay.late + delay.lag + LAG
-        body = self._body(state, ahead)
+        body = self._body(state, state.evidence.after(ahead))
         aim = body.felt(state.senses.target.predict(ahead))
         aim = within_reach(state.memory.aimed(aim) if self.learns else aim, body.lengths)
         return ReachProblem(now, aim, body.lengths, held)

@@ -63,7 +63,9 @@ EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
 LEAST_RATIO, LARGEST_RATIO = 0.25, 3.5  # of accepted lengths and the given ones
-FREQUENT = 12  # observations after which hypotheses are compared in every fourth control step only
+# Observations after which hypotheses are compared in every fourth control step only, and mirrored
+# cursors in every 16th.
+FREQUENT = 12
 OFFSET_RATE = 0.1  # rate at which the offset follows the errors
 MIRROR_PARAMETERS = 2  # as which a mirrored cursor counts
 CLEAR_ERROR = 0.05**2  # mean square error from which mirrored cursors are tried
@@ -165,7 +167,7 @@ class Change(NamedTuple):
         error = _square(hand - evidence.best.seen(z[:, :-2]))
         mean = self.error + SURPRISE_RATE * (error - self.error)
         mean[is_given | (evidence.age == 0)] = 0.0
-        usual = evidence.scatter + (EXACT + blur)
+        usual = evidence.scatter + (EXACT + 3 * blur)
         fails = (mean > 3 * usual) | (3 * _square(evidence.offset) > usual) | self.is_on
         errs = np.flatnonzero(fails & ~is_given)
         if not len(errs):
@@ -259,12 +261,16 @@ class BodyEvidence(NamedTuple):
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
         return BodyEvidence(age, sums, self.given, body, offset, scatter, best, change)
 
-    def after(self, steps: Floats | float) -> Body:
-        """Return the body as it will be, control steps after the last observation."""
-        changes = self.change.is_on
-        if not some(changes):
+    def after(self, steps: Floats) -> Body:
+        """Return the body as it will be, control steps (n,) after the last observation."""
+        changes = np.flatnonzero(self.change.is_on)
+        if not len(changes):
             return self.best
-        return where(changes, self.change.body(self.best, self.given, steps), self.best)
+        change, best, given = (_of(one, changes) for one in (self.change, self.best, self.given))
+        turn, shift = self.best.turn.copy(), self.best.shift.copy()
+        after = change.body(best, given, steps[changes])
+        turn[changes], shift[changes] = after.turn, after.shift
+        return self.best._replace(turn=turn, shift=shift)
 
     def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
         """Return the best hypothesis for each arm."""
@@ -275,7 +281,9 @@ class BodyEvidence(NamedTuple):
             return self.body
         body = where(is_given, self.given, self.body)
         if some(is_due):
-            best = most_likely(sums[is_due], mirrors, self.given.lengths[0])
+            may_be = mirrors & ((age < FREQUENT) | (age % 16 == 0) | self.change.is_on)
+            may_be |= self.body.is_mirrored
+            best = most_likely(sums[is_due], may_be[is_due], self.given.lengths[0])
             for field, found in zip(body, best, strict=True):
                 field[is_due] = found
         return body
@@ -323,17 +331,17 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
     return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
 
 
-def most_likely(sums: Points, mirrors: bool, given: Floats) -> Body:
+def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
     """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given.
 
-    If the cursor may be mirrored, that is tried where all others leave clear errors.
+    Where the cursor may be mirrored (`mirrors`), that is tried if all others leave clear errors.
     """
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
     least, error, body = _fit(sums, given)
-    unclear = np.flatnonzero(error > CLEAR_ERROR)
-    if mirrors and len(unclear):
+    unclear = np.flatnonzero(mirrors & (error > CLEAR_ERROR))
+    if len(unclear):
         sums = sums[unclear]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[unclear].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
