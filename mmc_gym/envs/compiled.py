@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,13 +76,16 @@ class CompiledStep:
         self, actions: NDArray[np.floating], state: State
     ) -> tuple[Floats, dict[str, Any]]:
         """Let all arms carry out their actions, (n, N), then do as `look`."""
+        return self._look(state, partial(self._move, actions))
+
+    def move(self, actions: NDArray[np.floating]) -> None:
+        """Let all arms carry out their actions, (n, N)."""
+        self._arms.share_out(partial(self._move, actions))
+
+    def _move(self, actions: NDArray[np.floating], first: int, last: int) -> None:
         _, scale, is_relative = self._action
-
-        def move(first: int, last: int) -> None:
-            self._arms.command_arms(actions, scale, is_relative, first, last)
-            self._arms.step_arms(first, last)
-
-        return self._look(state, move)
+        self._arms.command_arms(actions, scale, is_relative, first, last)
+        self._arms.step_arms(first, last)
 
     def _look(
         self, state: State, move: Callable[[int, int], None]

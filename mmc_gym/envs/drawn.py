@@ -169,6 +169,7 @@ class Draws:
         """Collect the drawn numbers of these perturbations."""
         self.strengths: list[Strength] = []
         self._parts: list[Part] = []
+        self._alone: list[tuple[int, int]] = []  # options that arms cannot have as arrays
         self._unchanged: dict[Part, Perturbation] = {}  # of options that are not chosen
         for change in changes:
             one = change.perturbation
@@ -206,6 +207,8 @@ class Draws:
         else:
             ends = change.range.support()
             self._parts.append(Part(timed, change.family, places, chosen, ends))
+        if chosen is not None and self._parts[-1].is_alone:
+            self._alone.append(chosen)
 
     def _number(self, name: str, distribution: Any, chosen: tuple[int, int] | None) -> int:
         same = sum(one.name.partition("#")[0] == name for one in self.strengths)
@@ -313,12 +316,16 @@ class Draws:
                 found.append(made if part.chosen is None else made.grown(is_chosen * 1.0))
         return found
 
+    @property
+    def may_be_alone(self) -> bool:
+        """Whether arms may be drawn that cannot be computed as arrays."""
+        return bool(self._alone)
+
     def are_alone(self, numbers: Floats) -> NDArray[np.bool_]:
         """Return which of k arms, from (k, m), cannot be computed as arrays."""
         alone = np.zeros(len(numbers), dtype=bool)
-        for part in self._parts:
-            if part.chosen is not None and part.is_alone:
-                alone |= numbers[:, part.chosen[0]] == part.chosen[1]
+        for place, option in self._alone:
+            alone |= numbers[:, place] == option
         return alone
 
     def samples(self) -> Floats:

@@ -264,15 +264,20 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Draw what is drawn and trials for these arms, and place them."""
         setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
         is_alone = np.full(len(arms), options.has_trial or not setup.draws_pairs)
+        count, more = self._numbers.shape[1], setup.joint_count + 2  # numbers of a trial
+        together = not is_alone.any() and not (setup.draws and setup.draws.may_be_alone)
+        uniform = uniform_numbers(randoms, count + more * together)
         if setup.draws is not None:
             context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
-            uniform = uniform_numbers(randoms, len(setup.draws.strengths))
-            numbers = setup.draws.set(setup.draws.numbers(uniform), context)
+            numbers = setup.draws.set(setup.draws.numbers(uniform[:, :count]), context)
             self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
             is_alone |= setup.draws.are_alone(numbers)
-        for some, place in ((~is_alone, self._place_many), (is_alone, self._place_each)):
-            if some.any():
-                place(arms[some], [randoms[row] for row in np.flatnonzero(some)], options)
+        if together:
+            self._place_many(arms, uniform[:, count:])
+        elif len(rows := np.flatnonzero(~is_alone)):
+            self._place_many(arms[rows], uniform_numbers([randoms[row] for row in rows], more))
+        if len(rows := np.flatnonzero(is_alone)):
+            self._place_each(arms[rows], [randoms[row] for row in rows], options)
         self._load(arms, np.zeros_like(arms))
         self._body.lock(arms[self._lock_steps[arms] == 0])
         self._steps[arms] = self._places[arms] = 0
@@ -283,16 +288,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.setup.vision_delay:
             self._sights[:, arms] = self._sight(arms)
 
-    def _place_many(self, arms: Indices, randoms: Randoms, options: Options) -> None:
-        """Draw a trial for each of these arms, all at once."""
-        del options
+    def _place_many(self, arms: Indices, uniform: Floats) -> None:
+        """Draw a trial for each of these arms, all at once, from uniform numbers, (k, N + 2)."""
         setup, body = self.setup, None
         ring, cursor = setup.ring, setup.cursor
         if setup.draws is not None:
             drawn = setup.episodes(self._numbers[arms])
             body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
             self._begin(arms, drawn)
-        uniform = uniform_numbers(randoms, setup.joint_count + 2)
         postures, self._paths[arms, 0] = pairs_from(uniform, ring, cursor)
         self._last_places[arms] = 0
         self._body.reset(postures, arms, parameters=body)
@@ -321,6 +324,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
+        if self._compiled is not None:
+            self._compiled.move(values)
+            return
         _, scale, is_relative = self.setup.action
         commands = np.multiply(values, scale, dtype=np.float64)
         self._body.command(commands + self._body.joint_angles if is_relative else commands)

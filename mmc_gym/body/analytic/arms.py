@@ -51,7 +51,7 @@ def _make_records(segments: int, count: int) -> tuple[Records, Records, Records]
     The working memory of a block is an empty array.  Compiled functions take its type and allocate
     the record, many times faster than numpy does.
     """
-    lanes = 32 if segments <= 4 else 8  # the records of a block fit the cache
+    lanes = 16 if segments <= 4 else 8  # the records of a block fit the cache
     names = "angle speed lag_x lag_y asked limit held yields"
     state = np.zeros(-(-count // lanes), _fields(names, segments, lanes))
     names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
