@@ -19,6 +19,7 @@ from mmc_gym.agents.base import Agent, Started, where
 from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, mmc_body
 from mmc_gym.agents.body_model.forward_model import Points, as_points, as_vectors, hand
 from mmc_gym.agents.body_model.parts import Parts
+from mmc_gym.geometry import Floats
 from mmc_gym.interface import CannotActError, Observation, ReachInterface, Seen
 
 WAITING = 0.02  # a target nearer to the hand is no target yet, segment lengths
@@ -32,7 +33,9 @@ class Movement(NamedTuple):
     seen_at_begin: Points  # where it, or its cursor, was seen
     aim: Points  # where the hand goes
     target: Points
-    seen: Points  # where hand or cursor was seen last
+    seen: Points  # where hand or cursor was seen last, or when the hand was fastest
+    felt: Points  # where the hand was felt last
+    fastest: Floats  # its largest displacement in a control step
 
 
 class LearnerState(NamedTuple):
@@ -40,7 +43,7 @@ class LearnerState(NamedTuple):
 
     learned: tuple[Any, ...]  # whatever `learn` returns, of each
     randoms: tuple[np.random.Generator, ...]  # of noise
-    noise: NDArray[np.float64]  # how noisy each is, 1 without a spread, (n,)
+    noise: Floats  # how noisy each is, 1 without a spread, (n,)
     movement: Movement | None = None
 
 
@@ -63,6 +66,9 @@ class TrialLearner(Agent[LearnerState]):
     planning_noise: float = 0.0
     #: that of each command, as a share of it (Harris & Wolpert 1998)
     motor_noise: float = 0.0
+    #: whether it learns from the error at the hand's peak speed, if that is seen, not at the end: a
+    #: servo undoes what a field does on the way
+    sees_peak: bool = False
     noise_spread: float = 0.0  #: how subjects differ in both: standard deviation, as a share
     vigour: float = 0.0  #: 0 as people move, 1 as fast as servos allow
 
@@ -82,8 +88,8 @@ class TrialLearner(Agent[LearnerState]):
     def learn(self, error: float, state: Any) -> Any:
         """Return the state for the next trial.
 
-        `error` is the direction of hand or cursor at the end less that of the target, from −180 to
-        180; 0.0 if the cursor was hidden.
+        `error` is the direction of hand or cursor at the end less that of the target, or of the
+        instructed aim, from −180 to 180; 0.0 if the cursor was hidden.
         """
 
     def rest(self, seconds: float, state: Any) -> Any:
@@ -149,7 +155,12 @@ class TrialLearner(Agent[LearnerState]):
             scale = self.motor_noise * state.noise[:, None]
             normal = [one.standard_normal(action.shape[-1]) for one in state.randoms]
             action = np.clip(action * (1 + scale * normal), -1, 1)
-        moved = of._replace(body=body, seen=as_points(rows.hand).copy())
+        last, speed = as_points(rows.hand).copy(), np.abs(felt - of.felt)
+        if self.sees_peak:
+            is_unseen = np.abs(of.seen - of.seen_at_begin) < WAITING
+            last = np.where((speed > of.fastest) | is_unseen, last, of.seen)
+        fastest = np.maximum(speed, of.fastest)
+        moved = of._replace(body=body, seen=last, felt=felt, fastest=fastest)
         action = interface.checked_action(action, rows.joint_angles.shape[:-1])
         return action.reshape(*batch, action.shape[-1]), state._replace(movement=moved)
 
@@ -161,7 +172,8 @@ class TrialLearner(Agent[LearnerState]):
     def _begin_movement(self, rows: Seen) -> Movement:
         felt, seen = self._felt(rows), as_points(rows.hand).copy()
         still = Seen(rows.joint_angles, as_vectors(felt), rows.joint_speeds, as_vectors(felt))
-        return Movement(self.body.start(still), felt, seen, felt, seen, seen)
+        rest = np.zeros(len(felt))
+        return Movement(self.body.start(still), felt, seen, felt, seen, seen, felt, rest)
 
     def _aim(self, state: LearnerState, rows: Seen) -> LearnerState:
         """Choose the aim of arms whose target has just appeared."""

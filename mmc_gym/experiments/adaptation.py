@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import Channel, ErrorClamp, ForceField, NoFeedback
-from mmc_gym.experiments.experiment import PlannedTrial, has
+from mmc_gym.experiments.experiment import Condition, PlannedTrial, has
 from mmc_gym.experiments.fits import (
     TWO_STATES,
     choose_states,
@@ -201,7 +201,7 @@ def learning_of(of: Movements) -> Learning:
     by direction within their block, since each subject has another order.  In a force field the
     unit is the mean deviation in its first trial, and what differs between targets is taken out,
     because the field pushes less in some directions.  In a channel it is the share of the ideal
-    force.  Channels and hidden hands show no error.  Directions are from the instructed aim, if
+    force.  Channels and hidden cursors show no error.  Directions are from the instructed aim, if
     there is one: what remains is implicit.
     """
     schedule, angles = of.schedule, of.angles
@@ -211,9 +211,9 @@ def learning_of(of: Movements) -> Learning:
         np.array([has(one.condition.perturbations, kind) for one in schedule])
         for kind in (ErrorClamp, Channel, NoFeedback)
     )
-    errorless = in_channel | hidden
     strengths = np.array([one.strength for one in schedule])
     is_field = any(has(one.condition.perturbations, ForceField) for one in schedule)
+    errorless = in_channel | (hidden & (not is_field))  # a field is felt
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     sign = np.sign(strengths[first].sum())
 
@@ -238,8 +238,9 @@ def learning_of(of: Movements) -> Learning:
     if in_channel.any():
         shares = np.broadcast_to(of.channel_shares if is_field else math.nan, angles.shape)
         shares = shares - _baseline(shares, angles, before)
-        adaptation = np.where(in_channel, shares, adaptation)
-    errors, perturbations = np.where(errorless, 0.0, errors), np.where(hidden, 0.0, perturbations)
+        ways = np.sign([_channel_of(one.condition) for one in schedule]) * sign
+        adaptation = np.where(in_channel, shares * ways, adaptation)
+    errors, perturbations = (np.where(errorless, 0.0, one) for one in (errors, perturbations))
     order = _by_direction(angles, blocks, kinds == "transfer")
     adaptation, errors, ordered = (
         np.take_along_axis(values, order, axis=1) for values in (adaptation, errors, angles)
@@ -257,6 +258,12 @@ def learning_of(of: Movements) -> Learning:
         deviation=abs(deviation),
         corrections=_corrections(of, kinds),
     )
+
+
+def _channel_of(condition: Condition) -> float:
+    """Return the curl of the field that a channel is made for; 0 without one."""
+    parts = (one.perturbation for one in condition.perturbations)
+    return sum(part.curl for part in parts if isinstance(part, Channel))
 
 
 def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floats:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import add
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -46,6 +47,7 @@ RESAMPLES = 500
 CYCLE = 4  # trials to a point of the figure
 METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
 MARKERS = "osD^vP"
+_LEGEND_WIDTH = 44  # letters in a line of the legend
 _OFF = ("inf", "0")  # of width, largest error and noise, as by default
 
 LengthUnit: TypeAlias = Literal["lengths", "m"]
@@ -130,7 +132,10 @@ class ExperimentResult:
 def _span(values: Sequence[str]) -> str:
     """Return one setting of all subjects, or between which they differ."""
     first = sorted(values, key=lambda text: float(text.split(",")[0]))
-    return first[0] if len(first) == 1 else f"{first[0]} to {first[-1]}"
+    if len(first) == 1:
+        return first[0]
+    ends = ((f"{float(one):.2g}" for one in text.split(",")) for text in (first[0], first[-1]))
+    return " to ".join(map(", ".join, ends))
 
 
 def learning_table(
@@ -278,7 +283,7 @@ def learning_figure(
         _draw_curves(below, result, resamples)
         handles, labels = map(add, *(one.get_legend_handles_labels() for one in (below, above)))
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5
+            handles, labels, loc="outside lower center", ncols=3, frameon=False, handlelength=3.5
         )
     return figure
 
@@ -289,7 +294,7 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
         learning = learning_of(result.movements_of(agent))
         style = LINES[(number + number // len(COLOURS)) % len(LINES)]
         colour = COLOURS[number % len(COLOURS)]
-        label = f"{agent} ({settings})" if settings else agent
+        label = fill(f"{agent} ({settings})" if settings else agent, _LEGEND_WIDTH)
         axes.plot([], [], color=colour, linestyle=style, label=label)
         _draw_curve(axes, learning, colour, style, resamples)
     if result.people is not None:

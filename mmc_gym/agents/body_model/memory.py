@@ -5,11 +5,11 @@ cursor about the place where a movement begins, and the angle δ by which the ha
 intended way, as in a field of forces.  It is the sum of states that learn and forget at their own
 rates.  With what a movement shows beyond the belief, e, and a rest of t seconds after it,
 
-    x_i ← a_i^(1 + t) (x_i + b_i e),        x = Σ x_i,      a_i retention, b_i rate
+    x_i ← A_i^t (A_i x_i + B_i e),        x = Σ x_i,      A_i retention, B_i rate
 
-In the notation of Smith et al. (2006), A_i = a_i and B_i = a_i b_i without a rest; a second of
-rest counts as much as a movement.  Within the movement the agent acts on x + Σ b_i e for lengths
-and cursor, so for b = 1 and a = 0 it learns all within a movement and keeps nothing.
+in the notation of Smith et al. (2006); a second of rest counts as much as a movement.  Within the
+movement the agent acts on x + Σ B_i e for lengths and cursor, so for B = 1 and A = 0 it learns all
+within a movement and keeps nothing.
 
 Evidence about the body is gathered in the coordinates of the belief, in which the body is as given
 if the belief is right: a hand seen at x counts as x̃ = e^{−iφ}(x − c) − Σ Δℓ_j u_j.  The angle δ is
