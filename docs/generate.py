@@ -68,7 +68,8 @@ GALLERY = {  # from easy to deep
     "learned_normalizer population_code",
     "bodies": "longer_reacher settling_in_space locked_panda",
     "adaptation": "rotation_and_washout generalisation error_clamp",
-    "learning": "plain_sb3 her residual learning_curves normalizer_in_the_loop backpropagation",
+    "learning": "plain_sb3 her curriculum residual learning_curves normalizer_in_the_loop "
+    "backpropagation",
 }
 THUMBNAIL = (400, 280)  # pixels
 

@@ -460,18 +460,25 @@ def list_(
 
 @_command
 def show(
-    scenario: Annotated[Positional[str], _arg("NAME")], more: ImportOptions = NO_IMPORTS
+    scenario: Annotated[Positional[str], _arg("NAME")],
+    out: OtherPlace = None,
+    more: ImportOptions = NO_IMPORTS,
 ) -> None:
     """Describe a scenario or an experiment: how to make it, what happens, what agents are given.
 
     Args:
         scenario: Name of a task, of a perturbation with any strength (delay-150), or an id; or
             that of an experiment.
+        out: A .png to write, with the first five episodes of the scenario, what they drew above.
     """
     from mmc_gym import listing
 
     more.load()
     print_table(make_console(), text_table(listing.describe(scenario)))
+    if out is not None:
+        from mmc_gym.record import picture_draws
+
+        print(f"wrote {picture_draws(scenario, out)}")
 
 
 @_command

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mmc_gym._errors import UserError
 from mmc_gym._tables import Table, text_table, to_html
 from mmc_gym.agents import AGENTS, AgentEntry
+from mmc_gym.envs.drawn import EXAMPLES
 from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
 from mmc_gym.envs.scenarios import Playable, Scenario, find_scenario, name_of
 from mmc_gym.envs.tasks import Task
@@ -169,6 +170,10 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         kinds = dict.fromkeys((one.untimed, one.perturbation))
         shown = one.perturbation if one.range is None else one.name
         yield "perturbation", f"{shown}: {' '.join(map(_about, kinds))}"
+    if setup.draws is not None:
+        draws = [env.reset(seed=seed)[1]["context"] for seed in range(EXAMPLES)]
+        lines = (", ".join(f"{k} {v:.3g}" for k, v in one.items() if v == v) for one in draws)
+        yield "for example", "\n".join(lines)
     for heading, delay in (("delay", setup.delay), ("delay of sight", setup.vision_delay)):
         if delay:
             late = 1000 * delay * setup.given_body.control_step
@@ -212,10 +217,11 @@ def _given(found: Playable, setup: Any) -> Iterator[str]:
         return
     for change in found.changes:
         thing = "the perturbation" if len(found.changes) == 1 else change.name
-        can_be_given = change.family is not None and change.family.known and not change.known
+        can_be_given = change.family is not None and change.family.known
+        can_be_given = can_be_given and not (change.known or change.is_drawn)
         hint = f"; with {change.name}-known they are" if can_be_given else ""
         yield f"are {'' if change.known else 'not '}given {thing}{hint}"
-    for one in fields(setup.given_body):
+    for one in fields(setup.given_body) if setup.draws is None else ():
         given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
         if given != true:
             yield f"{one.name}: {_short(true)}, given {_short(given)}"

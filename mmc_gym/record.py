@@ -6,7 +6,7 @@ import io
 import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,20 @@ import numpy as np
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, missing, require_whole
+from mmc_gym._errors import UserError, missing, require, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve_all
+from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.suite import make_player
-from mmc_gym.envs.scenarios import EnvLike, parse_environment
+from mmc_gym.envs.drawn import EXAMPLES
+from mmc_gym.envs.scenarios import EnvLike, parse_environment, parse_scenario
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 if TYPE_CHECKING:
     from PIL import Image
 
 Picture = NDArray[np.uint8]
+_MOMENT = 11  # control steps
 _HELD = 1.0  # seconds for which the end of an episode is shown
 _LEAST_DURATION = 0.02  # seconds for each picture of a GIF; browsers show shorter ones more slowly
 
@@ -73,6 +75,30 @@ def record(
         rate = world.metadata["render_fps"] / every
         pictures = _pictures(played, seeds, on_episode, every, math.ceil(_HELD * rate))
         return write_atomically(out, films[out.suffix](pictures, rate))
+
+
+def picture_draws(scenario: str, out: Path | str) -> Path:
+    """Write the first episodes of a scenario, of the seeds 0 to 4, next to each other as a PNG.
+
+    Each is shown a moment after its start, under what it has drawn; `mmc` acts.
+    """
+    from PIL import Image
+
+    require(Path(out).suffix == ".png", "out", str(out), "a file that ends in .png")
+    world, player = make_player(resolve("mmc"), parse_scenario(scenario, render_mode="rgb_array"))
+    panels = []
+    with closing(world):
+        for seed in range(EXAMPLES):
+            (observation, info), state = world.reset(seed=seed), None
+            for _ in range(_MOMENT):
+                action, state = player.predict(observation, state)
+                observation = world.step(action)[0]
+            frame: Any = world.render()
+            values = [f"{one:.3g}" for one in info.get("context", {}).values() if one == one]
+            panels.append(np.asarray(named(Image.fromarray(frame).reduce(2), ", ".join(values))))
+    picture = io.BytesIO()
+    Image.fromarray(np.hstack(panels)).save(picture, format="PNG", optimize=True)
+    return write_atomically(out, picture.getvalue())
 
 
 def _pictures(

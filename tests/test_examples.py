@@ -37,6 +37,7 @@ SHOWS = {
     "comparing/plot_own_agent.py": r"mine +0\.\d+ +0\.\d+ +1\.\d+ +\d",
     "comparing/plot_own_measure.py": r"half_way_time.*minimum-jerk +0\.[3-6]",
     "learning/plot_backpropagation.py": r" 0: 9\d % .*: [12]?\d %.*(0\.2: [89]\d %.*){2}",
+    "learning/plot_curriculum.py": r"trained up to [6-9]0°; 0°: (9\d|100)%, 60°: [6-9]\d%",
     "learning/plot_her.py": r"[6-9]\d% of the targets after 14,400 steps",
     "learning/plot_learning_curves.py": r"'ppo': 10.*by the seed alone",
     "learning/plot_normalizer_in_the_loop.py": r"240 epochs: hands 0\.1.*work: hands 0\.0",

@@ -4,6 +4,7 @@ import re
 
 import gymnasium as gym
 import pytest
+from PIL import Image
 
 import mmc_gym
 from mmc_gym._errors import UserError
@@ -15,6 +16,7 @@ from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.experiments.experiment import EXPERIMENTS
 from mmc_gym.listing import describe
 from mmc_gym.measures import MEASURES
+from mmc_gym.record import picture_draws
 
 NAMES = {
     "agents": AGENTS,
@@ -76,6 +78,20 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     both = dict(describe("longer-20-known+delay-150"))
     assert both["agents"].startswith("are given longer-20-known\nare not given delay-150")
     assert both["delay"] == "8 control steps, 160 ms"
+
+
+def test_of_a_range_five_episodes_are_shown(tmp_path, capsys):
+    rows = dict(describe("rotation--60..60+longer--30..35"))
+    assert len(rows["for example"].splitlines()) == 5
+    assert "longer" in rows["for example"]
+    assert "-known they are" not in rows["agents"]
+    file = tmp_path / "draws.png"
+    main(["show", "rotation--60..60", "--out", str(file)])
+    assert f"wrote {file}" in capsys.readouterr().out.replace("\n", "")
+    with Image.open(file) as picture:
+        assert picture.width == 5 * 320
+    with pytest.raises(UserError, match=r"out must be a file that ends in \.png, got 'draws\.gif'"):
+        picture_draws("rotation--60..60", "draws.gif")
 
 
 def test_a_scenario_has_a_name_or_an_id(capsys):

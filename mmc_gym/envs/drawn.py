@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 _SENSES = Noise | Cursor | Delay | Feedback | Timed
+EXAMPLES = 5  # episodes that are shown of a scenario that draws
 _CORNERS, _SAMPLES = 64, 16  # of the draws that are tried when an environment is made
 
 
