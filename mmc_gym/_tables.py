@@ -231,6 +231,15 @@ def number(value: float, decimals: int) -> str:
     return f"<{_digits(10.0**-decimals, decimals)}" if is_hidden else text
 
 
+def count(number_of: int, noun: str) -> str:
+    """Return a number and its noun.
+
+    >>> count(1, "seed"), count(1200, "seed")
+    ('1 seed', '1,200 seeds')
+    """
+    return f"{number_of:,} {noun}{'' if number_of == 1 else 's'}"
+
+
 def interval(low: float, high: float, decimals: int) -> str:
     """Return the ends of an interval in brackets, or "" if it has none.
 

@@ -35,7 +35,7 @@ from rich.console import Console
 from mmc_gym._console import text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym._tables import Cell, Heading, Row, Table, interval, number, print_table
+from mmc_gym._tables import Cell, Heading, Row, Table, count, interval, number, print_table
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import CellKey, Manifest, read_episodes, read_manifest, reasons
@@ -220,12 +220,10 @@ def _with_interval(row: Mapping[Hashable, Any], name: str) -> Cell:
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     one, better = ranking.iloc[0], ""
+    scenarios, played = count(one["environments"], "scenario"), sum(manifest.cpu_seconds.values())
     controls = dict(zip(ranking["agent"], ranking["control"]))
     if ranking["improvement"].notna().any():
-        better = (
-            f" better than {BASELINE_AGENT}: probability of being settled for longer in the same "
-            "episode, ½ if equal."
-        )
+        better = f" better than {BASELINE_AGENT}: probability of being settled longer, ½ if equal."
     left_out = len(manifest.environments) - int(one["environments"])
     partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
     versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
@@ -233,16 +231,13 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     if manifest.changed:
         mixed += (
             f" These have changed since some of their cells were played: "
-            f"{', '.join(manifest.changed)}; play them again in all environments."
+            f"{', '.join(manifest.changed)}; play them again in all scenarios."
         )
     return (
-        f"{one['environments']} environments{partly}, {one['instances']} instances for each "
-        "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
-        "that end at the target, each environment weighing the same; then by time to target (mean "
-        "of medians). settled: mean of the part of an episode after which the hand "
-        f"stays at the target.{better} {control_note(controls)} Intervals: 95 % bootstrap over "
-        "training seeds and instances; without several training seeds over instances alone. Cells "
-        "that were not played count as without success. All cells took "
-        f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "
-        f"{manifest.reused} were in the store already and not played again.{mixed}"
+        f"{scenarios}{partly}, {one['instances']} episodes of each training, the same for all. "
+        "Ranked by success, each scenario weighing the same, then by time (mean of medians). "
+        f"settled: part of an episode after which the hand stays at the target.{better} "
+        f"{control_note(controls)} 95 % bootstrap intervals over episodes, and trainings where "
+        "there are several. Cells that were not played count as without success. All cells took "
+        f"{played:.0f} s of one processor's time; {manifest.reused} were in the store.{mixed}"
     )

@@ -18,13 +18,13 @@ from markupsafe import Markup
 
 from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym._files import write_atomically
-from mmc_gym._tables import plain, to_html, to_markdown
+from mmc_gym._tables import count, plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
 from mmc_gym.measures import MEASURES
 from mmc_gym.report import tables
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, count, listed, read_results
+from mmc_gym.report.results import Results, listed, read_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

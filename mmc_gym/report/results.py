@@ -293,15 +293,6 @@ def _alike(texts: Mapping[str, str]) -> str:
     return "; ".join([most or "none", *rest])
 
 
-def count(number_of: int, noun: str) -> str:
-    """Return a number and its noun.
-
-    >>> count(1, "seed"), count(1200, "seed")
-    ('1 seed', '1,200 seeds')
-    """
-    return f"{number_of:,} {noun}{'' if number_of == 1 else 's'}"
-
-
 def listed(items: Sequence[str]) -> str:
     """Return items with commas, the last with "and".
 

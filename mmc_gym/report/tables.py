@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmc_gym._tables import NONE, Cell, Heading, Row, Table, interval, number
+from mmc_gym._tables import NONE, Cell, Heading, Row, Table, count, interval, number
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.benchmark.suite import control_note
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.catalogue import PEOPLE, people, span
-from mmc_gym.report.results import Results, count
+from mmc_gym.report.results import Results
 
 if TYPE_CHECKING:
     from mmc_gym.experiments.results import ExperimentResult
