@@ -6,10 +6,9 @@ steps; every step without costs 1 (the return).  A hand that rests for 10 steps 
 "Within reach" is the share of the targets to which some posture of the true body brings the hand,
 by the network from 100 postures.
 
-    python -m studies.other_bodies.trainings tqc --out runs/panda-tqc      # 20 minutes
-    python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip
-    python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip --seed 1
-    python -m studies.other_bodies.panda --agents                          # only prints the results
+    python -m studies.other_bodies.panda
+    python -m studies.other_bodies.panda --seed 1
+    python -m studies.other_bodies.panda --agents     # only prints the results
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ import numpy as np
 import pandas as pd
 import tyro
 from rich.console import Console
-from sb3_contrib import TQC
 
 from examples.panda_reach import BASE, TURN, Encoders, PandaReach
 from mmc_gym import make_agent
 from mmc_gym.agents.body_model.agent import ik_body
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.robots import HingeArm, HingeNetwork
+from studies.other_bodies.actors import FOLDER, Actor
 from studies.other_bodies.panda_bodies import NEUTRAL, changed_urdf, make_env
 from studies.tables import table_of
 
@@ -64,7 +63,7 @@ class Arguments:
     bodies: tuple[str, ...] = tuple(BODIES)
     episodes: int = 500  # episodes of each agent with each body
     seed: int = 0  # 0 plays the environment's seeds 0, 1, …; 1 those from 1000 on
-    tqc: Path = Path("runs/panda-tqc/tqc_50000.zip")  # model of TQC
+    tqc: Path = FOLDER / "tqc_50000.safetensors"  # actor of TQC; `trainings` makes others
     out: Path = Path("runs/panda")  # folder for the results
 
 
@@ -87,25 +86,13 @@ class PybulletAgent:
         return np.clip((goal[:7] - now) / TURN, -1.0, 1.0).astype(np.float32), None
 
 
-class TrainedAgent:
-    """Shows a model what it was trained with."""
-
-    def __init__(self, file: Path) -> None:
-        self.model = TQC.load(file, env=make_env(), device="cpu")
-
-    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, None]:
-        """Return the action."""
-        seen = {name: value for name, value in observation.items() if name != "joints"}
-        return self.model.predict(seen, deterministic=True)
-
-
 def make(name: str, env: Any, tqc: Path) -> Any:
     """Make an agent for an environment."""
     alone = Parts(identifies_body=False, finds_locks=False, imagines=False)
     makers: dict[str, Callable[[], Any]] = {
         "least squares": lambda: ik_body(INTERFACE, alone),
         "pybullet": PybulletAgent,
-        "tqc": lambda: TrainedAgent(tqc),
+        "tqc": lambda: Actor(tqc),
     }
     if name in makers:
         return makers[name]()

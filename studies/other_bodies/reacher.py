@@ -6,10 +6,9 @@ metres and the squared torques, summed over 50 steps.  An episode succeeds if at
 within 1 cm of the target; or of the nearest point that the true arm can reach, because with a joint
 held an arm of two joints reaches only a circle.
 
-    python -m studies.other_bodies.trainings sac --out runs/reacher-sac    # hours
-    python -m studies.other_bodies.reacher --sac runs/reacher-sac
-    python -m studies.other_bodies.reacher --sac runs/reacher-sac --seed 1
-    python -m studies.other_bodies.reacher --agents                        # only prints the results
+    python -m studies.other_bodies.reacher
+    python -m studies.other_bodies.reacher --seed 1
+    python -m studies.other_bodies.reacher --agents     # only prints the results
 
 The agents: `mmc-body` and `ik-body` through the interface of `examples/reacher.py`; "ik": inverse
 kinematics in closed form of the given arm, with the same servo; "ik, pd": the same with a servo of
@@ -39,6 +38,7 @@ from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.geometry import nearest_reachable, wrap_angle
 from mmc_gym.measures import episode_seeds
+from studies.other_bodies.actors import FOLDER, Actor
 from studies.tables import table_of
 
 Floats = NDArray[np.float64]
@@ -118,7 +118,7 @@ class Arguments:
     episodes: int = 1000  # episodes of each agent with each body, those of `mmc-gym compare`
     seed: int = 0  # of the starts and targets
     late: int = 0  # control steps of 20 ms by which all senses are late
-    sac: Path = Path("runs/reacher-sac")  # folder with the models of SAC
+    sac: Path = FOLDER  # folder with the actors of SAC; `trainings` makes others
     out: Path = Path("runs/reacher")  # folder for the results
 
 
@@ -190,9 +190,7 @@ def make(name: str, env: Any, sac: Path) -> Any:
     if name == "optimum":
         return None
     if name.startswith("sac"):
-        from stable_baselines3 import SAC
-
-        return SAC.load(sac / f"sac_{name[4:].replace('k', '000')}.zip", device="cpu")
+        return Actor(sac / f"sac_{name[4:].replace('k', '000')}.safetensors")
     if name == "ik, pd":
         given = {one.name: getattr(INTERFACE, one.name) for one in fields(INTERFACE)}
         return ClosedForm(TwoConstants(**given))

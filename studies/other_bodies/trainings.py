@@ -1,4 +1,4 @@
-"""Train the learned rivals on one core, and keep models on the way.
+"""Train the learned rivals on one core, and keep models on the way, and their actors.
 
 "sac" is SAC of stable-baselines3 at its defaults in `Reacher-v5`, for `reacher`.  "tqc" is TQC with
 hindsight replay in `PandaReachJoints-v3`, for `panda`, with the settings of rl_zoo3 for
@@ -20,6 +20,8 @@ import torch
 import tyro
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.monitor import Monitor
+
+from studies.other_bodies.actors import save_actor
 
 TQC_SETTINGS: dict[str, Any] = {
     "buffer_size": 1_000_000,
@@ -46,7 +48,7 @@ class Arguments:
     # environment steps after which a model is kept, the last at the end; none for `STEPS`
     at: tuple[int, ...] = ()
     seed: int = 0  # of the training
-    out: Path = Path("runs/trainings")  # folder for the models, such as sac_100000.zip
+    out: Path = Path("runs/trainings")  # folder: sac_100000.zip, and its actor as .safetensors
 
 
 def make_model(algorithm: str, seed: int) -> Any:
@@ -66,7 +68,9 @@ def main(arguments: Arguments) -> None:
     model = make_model(arguments.algorithm, arguments.seed)
     for steps in arguments.at or STEPS[arguments.algorithm]:
         model.learn(steps - model.num_timesteps, reset_num_timesteps=False, log_interval=100)
-        model.save(arguments.out / f"{arguments.algorithm}_{steps}.zip")
+        file = arguments.out / f"{arguments.algorithm}_{steps}.zip"
+        model.save(file)
+        save_actor(model, file.with_suffix(".safetensors"))
         print(f"{steps:,} steps", flush=True)
 
 
