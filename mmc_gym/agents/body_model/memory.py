@@ -114,6 +114,8 @@ class Memory(NamedTuple):
         self, begins: Bools, seen: Points, target: Points, joint_angles: Floats, given: Floats
     ) -> Memory:
         """Return the memory where movements begin (`begins`, (n,)) with the hand `seen` there."""
+        if not some(begins):
+            return self
         directions = self.states.shape[2]
         place = np.rint(np.angle(target - seen) / (2 * np.pi) * directions)
         new = self._replace(towards=place.astype(np.int64) % directions)
