@@ -82,7 +82,7 @@ print(f"trained up to {widen.width}°; 0°: {found[0]:.0%}, 60°: {found[60]:.0%
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
 steps, widths, _ = zip(*widen.history)
 left.step([0, *(one / 1000 for one in steps)], [STEP, *widths], where="post", color="black")
-left.set(xlabel="thousand environment steps", ylabel="widest turn in training [°]", ylim=(0, WIDEST + 5))
+left.set(xlabel="thousand environment steps", ylabel="widest turn in training [°]")
 right.axvspan(-widen.width, widen.width, color="0.92")
 right.plot(angles, [100 * found[one] for one in angles], "o-", color="black")
 right.set(xlabel="turn of the cursor [°]", ylabel="success [%]", ylim=(-2, 102))
