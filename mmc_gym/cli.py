@@ -526,7 +526,9 @@ def main(arguments: list[str] | None = None) -> None:
         if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2
-        if isinstance(error, KeyboardInterrupt):
+        if isinstance(error, OSError) and error.strerror:
+            message = f"{error.filename}: {error.strerror}"
+        elif isinstance(error, KeyboardInterrupt):
             message, status = "interrupted", 130
         elif isinstance(error, CellError):
             message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1

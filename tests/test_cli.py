@@ -66,7 +66,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
     [
         (["train", "dqn"], "name 'dqn' is not accepted. It may be a2c, "),
         (["train", "ppo", "--on", "pursuit"], "on must be perturbations; a task is named by --env"),
-        (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
+        (["train", "my/dqn.yml"], "mmc-gym: my/dqn.yml: No such file or directory"),
         (["list", "agents", "--import", "../.."], "import must be the name of a module"),
         (["compare", "--episodes", "9" * 20], f"episodes must be at most 1000000, got {'9' * 20}"),
         ([*ENV_KWARGS, "x=2020-99-99"], "month must be in 1..12"),
@@ -127,7 +127,7 @@ def test_a_full_disk_under_the_output_is_one_line(command):
         script, shell=True, stderr=subprocess.PIPE, text=True, check=False, env=buffered
     )
     assert done.returncode == 2
-    assert done.stderr == "mmc-gym: [Errno 28] No space left on device: 'standard output'\n"
+    assert done.stderr == "mmc-gym: standard output: No space left on device\n"
 
 
 def test_version_and_completion_are_printed_and_help_says_so(capsys):

@@ -62,6 +62,7 @@ _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space",
 # The last observation before normalization: set by a training behind VecNormalize, and by every
 # off-policy training.
 _ORIGINAL = "_last_original_obs"
+_SAY_IT = "say --wrapper module:function (in Python: wrapper=...)"
 _MEMBER_MOST = 200 * 2**20  # bytes of an entry of a zip file, unpacked
 
 
@@ -139,7 +140,8 @@ class ModelAgent(Agent[Any]):
             own = _shape(getattr(self._policy, name))
             here = _shape(getattr(env, f"single_{name}", getattr(env, name)))
             if own != here:
-                raise CannotActError(f"{name} must be of shape {own} for {self.label}, got {here}")
+                message = f"{name} must be of shape {own} for {self.label}, got {here}"
+                raise CannotActError(f"{message}; if it was trained behind a wrapper {_SAY_IT}")
         control = read_attribute(env, "control")
         if self.control and control and control != self.control:
             raise ControlError(
@@ -152,7 +154,7 @@ class ModelAgent(Agent[Any]):
         if lacks := ", ".join(name for name in self.trained_in.wrappers if name not in here):
             raise CannotActError(
                 f"env must be wrapped in {lacks}, as in the training of {self.label}, "
-                "got it without: say --wrapper module:function (in Python: wrapper=...)"
+                f"got it without: {_SAY_IT}"
             )
         return self
 
