@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, count
 from operator import add
 from pathlib import Path
 from textwrap import fill
@@ -47,6 +48,7 @@ RESAMPLES = 500
 CYCLE = 4  # trials to a point of the figure
 METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
 MARKERS = "osD^vP"
+_RUN = ["agent", "run", "subject"]
 _LEGEND_WIDTH = 44  # letters in a line of the legend
 _OFF = ("inf", "0")  # of width, largest error and noise, as by default
 
@@ -65,8 +67,8 @@ class ExperimentResult:
     #: (control step of the go cue), channel_force (in a `Channel`, as a share of the ideal one:
     #: slope of the regression through the origin over the trial); how the agent went through: rate,
     #: retention and the other `LEARNED` of the subject (several states after commas; empty
-    #: without), keeps_all, noise, seed and version (of mmc-gym); and the movement, see
-    #: `describe_movements`
+    #: without), keeps_all, noise, seed, version (of mmc-gym) and run (a digest of all settings);
+    #: and the movement, see `describe_movements`
     trials: pd.DataFrame
     hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
     cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
@@ -116,8 +118,14 @@ class ExperimentResult:
         print_learning(self.measures, console)
 
     def write(self, out: Path | str) -> list[Path]:
-        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`."""
-        stem = Path(out) / self.experiment.name
+        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`.
+
+        If these are of trials that are not among its own, it writes NAME.2.trials.csv and so on.
+        """
+        own = {*self.trials[_RUN].astype(str).itertuples(index=False, name=None)}
+        first = str(Path(out) / self.experiment.name)
+        stems = chain([first], (f"{first}.{number}" for number in count(2)))
+        stem = next(one for one in stems if _runs_in(Path(f"{one}.trials.csv")) <= own)
         written = []
         for kind, table in (("trials", self.trials), ("measures", self.measures)):
             text = table.to_csv(index=False, lineterminator="\n")
@@ -127,6 +135,17 @@ class ExperimentResult:
     def __repr__(self) -> str:
         agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
         return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
+
+
+def _runs_in(path: Path) -> set[tuple[str, ...]]:
+    """Return agent, run and subject of the trials in a CSV file; none without one."""
+    if not path.exists():
+        return set()
+    try:
+        found = pd.read_csv(path, usecols=_RUN, dtype=str, keep_default_na=False)[_RUN]
+    except ValueError:  # of something else
+        return {(str(path),)}
+    return {*found.itertuples(index=False, name=None)}
 
 
 def _span(values: Sequence[str]) -> str:

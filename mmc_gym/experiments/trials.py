@@ -50,7 +50,7 @@ from mmc_gym.geometry import turned_back
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures.rollout import run_trial
 
-RECORDING = 5
+RECORDING = 6
 """Version of recordings; when it changes, all cells are played again."""
 
 _SPREAD = 1  # of the seeds that subjects are drawn with
@@ -247,6 +247,7 @@ class _Session:
             "noise": "+".join(one.name for one in self.cell.experiment.noise),
             "seed": self.cell.seed,
             "version": version("mmc-gym"),
+            "run": self.cell.stem.rsplit(".", 1)[-1],
         }
         return {
             "agent": [self.cell.agent.label] * len(starts),

@@ -53,6 +53,7 @@ def played(turn, subjects=6, family="rotation", known_as=""):
             "trial": list(range(len(schedule))) * subjects,
             "target_angle": angles.ravel(),
             "keeps_all": False,
+            "run": "",
             "channel_force": np.nan,
             **dict.fromkeys(LEARNED, ""),
         }

@@ -172,6 +172,12 @@ def test_runs_of_other_settings_overwrite_nothing_and_are_not_mixed(tmp_path, mo
     assert np.array_equal(stored.hands[is_body[0]], slow.hands[is_body[1]])
 
 
+def test_tables_of_other_settings_are_written_next_to_each_other(tmp_path: Path) -> None:
+    fast, slow = (run_experiment(SHORT, ["mmc-body"], 1, rate=rate, jobs=1) for rate in (0.9, 0.1))
+    names = [one.write(tmp_path)[0].name for one in (fast, slow, fast, slow)]
+    assert names == ["short.trials.csv", "short.2.trials.csv"] * 2
+
+
 @pytest.mark.parametrize(
     ("name", "changed"),
     [
