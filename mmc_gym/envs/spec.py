@@ -363,7 +363,9 @@ class ReachSetup:
         if not isinstance(one, Cursor) or one.centre is not None:
             return one
         (x, y), (_, outer) = self.task.start or (0.0, 0.0), shared_ring(self.body, self.given_body)
-        return replace(one, centre=(x * outer, y * outer))  # type: ignore[type-var]
+        placed = copy(one)  # not `replace`, which forgets whether it is shown
+        vars(placed)["centre"] = x * outer, y * outer
+        return placed
 
     def _drawn_body(self, parts: Sequence[Perturbation]) -> ArmColumns:
         """Return the arm under perturbations as they may be drawn, which were checked before."""

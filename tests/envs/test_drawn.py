@@ -183,6 +183,22 @@ def test_a_drawn_body_moves_as_a_fixed_one_of_its_strength():
         assert_same(one[4], {k: v for k, v in other[4].items() if k != "context"})
 
 
+@pytest.mark.parametrize("name", [one for one in RANGES if not one.startswith("obstacles")])
+def test_an_option_that_is_not_chosen_changes_nothing(name):
+    plain, drawn = (
+        gym.make("MMCReach-v0", engine="analytic", perturbations=perturbations)
+        for perturbations in ((), [OneOf(name, None)])
+    )
+    start = {"joint_angles": [0.1, 0.5, -0.3], "target": (1.0, 1.0)}
+    plain.reset(seed=0, options=start)
+    drawn.reset(seed=0, options={**start, "context": {"choice": 1}})
+    for action in np.random.default_rng(0).uniform(-1, 1, (15, 3)).astype(np.float32):
+        one, other = plain.step(action), drawn.step(action)
+        assert_same(one[0], other[0])
+        assert_same(one[1], other[1])
+        assert_same(one[4]["distance"], other[4]["distance"])
+
+
 def test_the_context_is_observed_within_one():
     env = mmc_gym.make("rotation--60..60+delay-0..160", observe_context=True)
     check_env(env.unwrapped, skip_render_check=True)
