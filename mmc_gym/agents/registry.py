@@ -167,22 +167,23 @@ AGENTS: dict[str, AgentEntry] = {
     **_trained(
         "ppo-drawn",
         "PPO under perturbations that are drawn for each episode",
-        1,
+        3,
         is_ranked=False,
     ),
     **_trained(
         "ppo-context",
         "as ppo-drawn, but it is shown what was drawn",
-        1,
+        3,
         context=True,
         is_ranked=False,
     ),
     **_trained(
         "ppo-memory",
-        "a memory of 1.4 s, taught by ppo-context under perturbations drawn for each episode",
+        "a memory of 1.4 s, taught by PPO that is given the truth, under perturbations drawn for "
+        "each episode",
         3,
         memory=68,
-        command="python -m studies.learners.ppo_memory",
+        command="python -m studies.learners.ppo_memory (an earlier version)",
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
