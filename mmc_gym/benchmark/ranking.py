@@ -144,7 +144,7 @@ def ranked_scores(scores: pd.DataFrame) -> pd.DataFrame:
     policies = len(scores[_POLICY].drop_duplicates())
     attempts = scores[[*_POLICY, "environment"]].drop_duplicates()["environment"].value_counts()
     common = attempts.index[attempts == policies]
-    if not len(common):
+    if scores.empty or not len(common):
         raise UserError("episodes must be of an environment that all agents have attempted")
     return scores[scores["environment"].isin(common)].reset_index(drop=True)
 

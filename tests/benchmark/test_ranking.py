@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
+from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents, ranked_scores
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 
@@ -100,6 +101,12 @@ def test_what_was_not_played_has_no_success():
     assert half["success"].to_dict() == {"half": 0.5, "mmc": 0.25}
     with pytest.raises(ValueError, match="an environment that all agents have attempted"):
         summary(played("mmc", "one", [0.5]), played("other", "two", [0.5]))
+
+
+def test_nothing_is_ranked_without_any_episode():
+    none = played("mmc", "random", [0.5]).astype({"environment": "category"}).iloc[:0]
+    with pytest.raises(UserError, match="an environment that all agents have attempted"):
+        ranked_scores(none)
 
 
 def test_training_seeds_are_replicates():
