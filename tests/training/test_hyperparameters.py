@@ -11,11 +11,9 @@ from mmc_gym._errors import UserError
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
 from studies.learners.ppo_residual import Residual
-from studies.learners.random_scenarios import RandomScenarios
 
 POLICIES = "mmc_gym.training.policies"
 RESIDUAL = "studies.learners.ppo_residual.Residual"
-RANDOM = "studies.learners.random_scenarios.RandomScenarios"
 HER = "HerReplayBuffer"
 
 
@@ -123,13 +121,12 @@ def test_all_that_an_entry_names_is_made():
     model = make(
         recipe(
             n_envs=2,
-            vec_env_wrapper=[{RANDOM: {"groups": 2}}, {RESIDUAL: {"base_agent": "mmc"}}],
+            vec_env_wrapper=[{RESIDUAL: {"base_agent": "mmc"}}],
             policy_kwargs="dict(activation_fn=nn.Tanh, net_arch=[8, 9])",
             learning_rate="lin_1e-3",
             clip_range=0.2,
         )
     )
-    assert unwrap_vec_wrapper(model.get_env(), RandomScenarios) is not None
     assert unwrap_vec_wrapper(model.get_env(), Residual).base_agent == "mmc"
     layers = re.findall(r"(?<=out_features=)\d+|Tanh", str(model.policy.mlp_extractor.policy_net))
     assert layers == ["8", "Tanh", "9", "Tanh"]

@@ -25,17 +25,15 @@ from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
 from mmc_gym.training.vec_env import Memory
 from studies.learners.ppo_residual import HYPERPARAMETERS
-from studies.learners.random_scenarios import RandomScenarios
 
 LEGS = 4
-RANDOM_SCENARIOS = f"{RandomScenarios.__module__}.RandomScenarios"
 RESIDUAL = "studies.learners.ppo_residual.Residual"
 SMALL = {"n_timesteps": 1600, "n_envs": 4, "policy_kwargs": {"net_arch": [8]}}
-DELAYS = {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}}}
+DELAYS = {"engine": "analytic", "perturbations": ["delay-0..100"]}
 OFF_POLICY = {"batch_size": 32, "buffer_size": 1200, "gradient_steps": 1}  # it overflows
 TINY: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2},
-    "ppo-residual": {"n_steps": 50, "batch_size": 50, "vec_env_wrapper": [DELAYS, RESIDUAL]},
+    "ppo-residual": {"n_steps": 50, "batch_size": 50, "env_kwargs": DELAYS},
     "sac": {**OFF_POLICY, "learning_starts": 64, "normalize": True, "memory": [1, 2]},
     "td3": {**OFF_POLICY, "learning_starts": 64, "normalize": "dict(norm_obs=True)"},
     "a2c": {"n_steps": 25},
