@@ -91,6 +91,13 @@ def fill(folder):
     page = (DOCS / "how-to" / "stable-baselines3.md").read_text()
     stack = next(one for one in blocks(page, "python") if "def stack" in one)
     (folder / "stacked.py").write_text(stack)
+    page = (DOCS / "how-to" / "adaptation.md").read_text()
+    (folder / "mine.py").write_text(
+        next(one for one in blocks(page, "python") if "def first" in one)
+    )
+    for name, text in zip(("aba", "learners"), blocks(page, "yaml"), strict=True):
+        (folder / f"{name}.yml").write_text(text)
+    (folder / "people.csv").write_text("trial,adaptation\n40,0.1\n87,0.9\n")
     run(folder, "-c", MODEL)
     for command in ("mmc-gym benchmark", "mmc-gym adapt rotation-30 --agents mmc"):
         run(folder, "-m", "mmc_gym.cli", *small(command))
