@@ -47,7 +47,7 @@ MOVEMENTS = {  # measures, and the scenarios that they are taken in
     "paper": ("posture_variability",),
 }
 EXPERIMENTS = {  # measures, and the experiments that they are taken in
-    "rotation-30": (*("rate", "final_adaptation", "after_effect", "A_f", "A_s", "B_f", "B_s"),),
+    "rotation-30": ("A_f", "A_s", "B_f", "B_s", "rate", "final_adaptation", "after_effect"),
     "curl-field-60": ("deviation", "rate", "final_adaptation", "after_effect"),
     "savings-30": ("savings",),
     "retention-30": ("retention",),
@@ -56,6 +56,7 @@ EXPERIMENTS = {  # measures, and the experiments that they are taken in
     "cursor-jump-10": ("latency", "gain"),
 }
 COLUMNS = 3  # of panels
+QUANTITIES = 4  # in a table, so that it fits a screen
 BODY: dict[str, Any] = {  # at the speed of people
     "mmc-body": body_model(Parts(vigour=0)),
     "ik-body": body_model(Parts(vigour=0), ik_body),
@@ -105,7 +106,9 @@ def learning_rows(
         result = _played(experiment, agents, subjects, store)
         table = learning_table(result, lengths_in="m")
         chosen = table[table["measure"].isin(names)].assign(of=experiment)
-        rows += chosen.to_dict("records")
+        rows += chosen.sort_values("measure", key=lambda one: one.map(names.index)).to_dict(
+            "records"
+        )
         save_figure(learning_figure(result, table), pictures / experiment)
     return rows
 
@@ -140,21 +143,25 @@ def shown(row: Mapping[str, Any]) -> str:
     return text.replace("-", "−")
 
 
-def tables(rows: pd.DataFrame) -> dict[str, list[dict[str, str]]]:
-    """Return a table for each scenario and experiment: people and agents, and their quantities."""
-    found = {}
+def tables(rows: pd.DataFrame) -> list[list[dict[str, str]]]:
+    """Return tables of each scenario and experiment: people and agents, and their quantities."""
+    found = []
     for of, group in rows.groupby("of", sort=False):
-        labels = dict.fromkeys(
-            group["label"] + group["unit"].map(lambda unit: unit and f" [{unit}]")
-        )
-        known = group["estimate"].notna() | (group["agent"] == PEOPLE)
-        agents = sorted(dict.fromkeys(group.loc[known, "agent"]), key=lambda name: name != PEOPLE)
-        lines = [{str(of): agent, **dict.fromkeys(labels, "–")} for agent in agents]
-        for row in group[known].to_dict("records"):
-            label = row["label"] + (f" [{row['unit']}]" if row["unit"] else "")
-            lines[agents.index(row["agent"])][label] = shown(row)
-        found[str(of)] = lines
+        measures = [*dict.fromkeys(group["measure"])]
+        for first in range(0, len(measures), QUANTITIES):
+            some = group[group["measure"].isin(measures[first : first + QUANTITIES])]
+            found.append(_table(str(of), some))
     return found
+
+
+def _table(of: str, rows: pd.DataFrame) -> list[dict[str, str]]:
+    labels = rows["label"] + rows["unit"].map(lambda unit: unit and f" [{unit}]")
+    known = rows["estimate"].notna() | (rows["agent"] == PEOPLE)
+    agents = sorted(dict.fromkeys(rows.loc[known, "agent"]), key=lambda name: name != PEOPLE)
+    lines = [{of: agent, **dict.fromkeys(labels, "–")} for agent in agents]
+    for row, label in zip(rows[known].to_dict("records"), labels[known], strict=True):
+        lines[agents.index(row["agent"])][label] = shown(row)
+    return lines
 
 
 def draw(rows: pd.DataFrame) -> Figure:
@@ -195,10 +202,10 @@ def main(
     frame.to_csv(out / "people.csv", index=False)
     save_figure(draw(frame), out / "people")
     console, written = Console(width=200), []
-    for of, lines in tables(frame).items():
+    for lines in tables(frame):
         written.append(markdown_table(lines[0], (line.values() for line in lines)))
         plain = [{key: escape(value) for key, value in line.items()} for line in lines]
-        console.print(table_of(plain, of))
+        console.print(table_of(plain, next(iter(lines[0]))))
     (out / "people.md").write_text("\n\n".join(written) + "\n", encoding="utf-8")
 
 

@@ -32,10 +32,13 @@ from scipy.special import expit, logit
 from mmc_gym._errors import UserError, require_choice, shown
 from mmc_gym.measures.episode import Floats
 
-Model: TypeAlias = Literal["nothing", "one-state", "two-state", "exponential", "gaussian"]
+Model: TypeAlias = Literal[
+    "nothing", "correction", "one-state", "two-state", "exponential", "gaussian"
+]
 TWO_STATES = ("A_f", "A_s", "B_f", "B_s")
 PARAMETERS: dict[Model, tuple[str, ...]] = {
     "nothing": (),  # y = 0
+    "correction": ("gain",),  # y = gain p, or the clamp's error: within the movement, nothing lasts
     "one-state": ("A", "B"),
     "two-state": TWO_STATES,
     "exponential": ("asymptote", "start", "rate"),
@@ -104,7 +107,7 @@ def fit(
     models = [model] if isinstance(model, str) else list(model)
     for one in models:
         require_choice("model", one, PARAMETERS)
-    is_moved = any("state" in one for one in models)
+    is_moved = any("state" in one or one == "correction" for one in models)
     states = {"perturbation": perturbation, "clamp": clamp, "error": error} if is_moved else {}
     columns = {"y": y, "x": x, **{name: one for name, one in states.items() if one}}
     names = [by] if isinstance(by, str) else list(by or ())
@@ -162,6 +165,12 @@ def fit_curve(
         found = fit_states(curve[None], p, e, states=2 if model == "two-state" else 1)
         predicted = _simulate(_logit(found), p, e)[0]
         values = found[0]
+    elif model == "correction":
+        held = np.broadcast_to(np.asarray(clamp, np.float64), curve.shape)
+        seen = np.nan_to_num(np.where(np.isnan(held), perturbation, held))
+        scale = float((seen[known] ** 2).sum())
+        values = np.array([seen[known] @ curve[known] / scale if scale else math.nan])
+        predicted = values * seen
     elif model == "exponential":
         values = fit_exponential(curve)[[0, 2, 1]]
         fall = np.exp(-values[2] * np.arange(len(curve)))
@@ -199,10 +208,10 @@ def choose_states(
 
     The first of the curves y (..., trials), such as a mean before its resamples, decides by BIC.
     One state is given as A_s and B_s, with B_f = 0 and A_f NaN.  All are NaN if nothing was
-    learned.  For p and clamps see `fit_curve`.
+    learned, or nothing lasts beyond the movement.  For p and clamps see `fit_curve`.
     """
     flat = curves.reshape(-1, curves.shape[-1])
-    kinds: tuple[Model, ...] = ("nothing", "one-state", "two-state")
+    kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
     both = {"perturbation": perturbations, "clamp": clamps}
     fits = [fit_curve(flat[0], kind, **both) for kind in kinds]
     known = [one for one in fits if not math.isnan(one.bic)]

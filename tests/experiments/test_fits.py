@@ -66,7 +66,7 @@ def test_the_criterion_tells_which_learner_it_is(learner, best, noise):
     data = {"perturbation": perturbation, "clamp": clamp}
     for seed in range(3):
         y, _ = simulate_learners(learner, perturbation, clamp, subjects=12, noise=noise, seed=seed)
-        fits = {kind: fit_curve(y.mean(axis=0), kind, **data) for kind in [*PARAMETERS][:3]}
+        fits = {kind: fit_curve(y.mean(axis=0), kind, **data) for kind in [*PARAMETERS][:4]}
         assert min(fits, key=lambda kind: fits[kind].bic) == best
         chosen = choose_states(y.mean(axis=0), perturbation, clamp)
         if best == "one-state":
@@ -74,6 +74,16 @@ def test_the_criterion_tells_which_learner_it_is(learner, best, noise):
             assert chosen[[1, 3]] == pytest.approx([0.97, 0.1], abs=0.03)
         else:
             assert np.isnan(chosen).all() == (best == "nothing")
+
+
+def test_a_hand_that_corrects_within_the_movement_has_learned_nothing():
+    perturbation, clamp = SCHEDULES["counter"]
+    curve = 0.4 * np.where(np.isnan(clamp), perturbation, clamp)
+    curve += np.random.default_rng(0).normal(0.0, 1.0, len(curve))
+    data = {"perturbation": perturbation, "clamp": clamp}
+    assert fit_curve(curve, "correction", **data).parameters["gain"] == pytest.approx(0.4, abs=0.02)
+    assert np.isnan(choose_states(curve, **{f"{name}s": one for name, one in data.items()})).all()
+    assert np.isnan(fit_curve(curve, "correction").bic)  # nothing moved it
 
 
 def test_resamples_are_fitted_as_curves_are_alone():
