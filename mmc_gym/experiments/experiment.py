@@ -461,6 +461,9 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
         raise unknown("experiment", text, EXPERIMENTS, "one with a strength", "a file (mine.yml)")
     entries = dict(EXPERIMENTS[match[1]])
     default = entries.pop("strength")
-    strength = np.format_float_positional(float(match[2] or default), trim="-")
-    filled_in = json.loads(json.dumps(entries).replace("{}", strength))
+    strength, opposite = (
+        np.format_float_positional(sign * float(match[2] or default), trim="-") for sign in (1, -1)
+    )
+    text = json.dumps(entries).replace('"-{}', f'"{opposite}').replace("--{}", f"-{opposite}")
+    filled_in = json.loads(text.replace("{}", strength))
     return Experiment(name=f"{match[1]}-{strength}", family=match[1], **filled_in)

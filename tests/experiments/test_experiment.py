@@ -47,7 +47,7 @@ def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     assert find_experiment(file) == mine == Experiment(**mine.settings)
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", [*EXPERIMENTS, *(f"{one}--10" for one in EXPERIMENTS)])
 def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     experiment = find_experiment(name)
     schedule = experiment.schedule
