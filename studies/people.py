@@ -55,6 +55,7 @@ EXPERIMENTS = {  # measures, and the experiments that they are taken in
     "clamp-15": ("clamp_asymptote",),
     "cursor-jump-10": ("latency", "gain"),
 }
+METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
 COLUMNS = 3  # of panels
 QUANTITIES = 4  # in a table, so that it fits a screen
 BODY: dict[str, Any] = {  # at the speed of people
@@ -104,7 +105,10 @@ def learning_rows(
     for experiment in track(experiments, "experiments", transient=True):
         names = EXPERIMENTS[experiment]
         result = _played(experiment, agents, subjects, store)
-        table = learning_table(result, lengths_in="m")
+        table = learning_table(result)
+        in_lengths = table["unit"] == "lengths"
+        table.loc[in_lengths, ["estimate", "low", "high"]] *= METRES
+        table.loc[in_lengths, "unit"] = "m"
         chosen = table[table["measure"].isin(names)].assign(of=experiment)
         rows += chosen.sort_values("measure", key=lambda one: one.map(names.index)).to_dict(
             "records"
@@ -204,7 +208,7 @@ def main(
     console, written = Console(width=200), []
     for lines in tables(frame):
         written.append(markdown_table(lines[0], (line.values() for line in lines)))
-        plain = [{key: escape(value) for key, value in line.items()} for line in lines]
+        plain = [{escape(k): escape(v) for k, v in line.items()} for line in lines]
         console.print(table_of(plain, next(iter(lines[0]))))
     (out / "people.md").write_text("\n\n".join(written) + "\n", encoding="utf-8")
 

@@ -14,7 +14,7 @@ from itertools import chain, count
 from operator import add
 from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,7 @@ from pandas.api.types import is_numeric_dtype
 from rich.console import Console
 
 from mmc_gym._console import make_console
-from mmc_gym._errors import UserError, require, require_choice
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure, save_figure
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, estimate_cell, print_table
@@ -46,13 +46,10 @@ from mmc_gym.measures.catalogue import PEOPLE, people, span
 
 RESAMPLES = 500
 CYCLE = 4  # trials to a point of the figure
-METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
 MARKERS = "osD^vP"
 _RUN = ["agent", "run", "subject"]
 _LEGEND_WIDTH = 44  # letters in a line of the legend
 _OFF = ("inf", "0")  # of width, largest error and noise, as by default
-
-LengthUnit: TypeAlias = Literal["lengths", "m"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,19 +154,14 @@ def _span(values: Sequence[str]) -> str:
     return " to ".join(map(", ".join, ends))
 
 
-def learning_table(
-    result: ExperimentResult, resamples: int = RESAMPLES, lengths_in: LengthUnit = "lengths"
-) -> pd.DataFrame:
+def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.DataFrame:
     """Return a row for each agent and each measure that some agent has a value of.
 
     Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
     missing, source and settings (see `ExperimentResult.settings`).  A measure that people have a
     published figure of in such an experiment has a row of the agent "people", too, with a source;
     see `with_people`.
-
-    With `lengths_in` "m" lengths are metres, for an arm as long as a person's.
     """
-    require_choice("lengths_in", lengths_in, get_args(LengthUnit))
     rows = []
     for agent in result.trials["agent"].unique():
         learning = learning_of(result.movements_of(agent))
@@ -177,8 +169,7 @@ def learning_table(
         tails = expanded_tails(len(learning.errors))
         for one in QUANTITIES:
             unit = learning.unit if one.unit == OF_ADAPTATION else one.unit
-            factor, unit = (METRES, "m") if (unit, lengths_in) == ("lengths", "m") else (1, unit)
-            values = factor * found[one.name]
+            values = found[one.name]
             is_known = not math.isnan(values[0])
             low, high = percentile_interval(values[1:], tails) if is_known else (math.nan, math.nan)
             facts = {"label": one.label, "unit": unit, "decimals": one.decimals}

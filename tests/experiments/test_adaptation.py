@@ -97,16 +97,6 @@ def test_the_table_is_printed_and_the_figure_has_the_timeline_and_a_curve_per_ag
     assert np.nanmax(np.concatenate(curves)) == 30.0
 
 
-def test_lengths_are_in_metres_where_asked_for():
-    pushed = played(30.0, family="force-field")
-    tables = [learning_table(pushed, 20, one).set_index("measure") for one in ("lengths", "m")]
-    lengths, metres = (one.loc["deviation"] for one in tables)
-    assert (lengths["unit"], metres["unit"]) == ("lengths", "m")
-    assert metres["estimate"] == pytest.approx(lengths["estimate"] / 4)
-    with pytest.raises(UserError, match="lengths_in 'cm'"):
-        learning_table(pushed, 20, "cm")
-
-
 def test_a_single_subject_has_no_interval_and_no_band():
     alone = played(15.0, subjects=1, family="clamp", known_as="clamp")
     table = learning_table(alone, 20)
