@@ -40,9 +40,11 @@ def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:
     """Return the cards of trained policies by label, in the order of their seeds.
 
     The agents are names, files, folders or patterns, such as "runs/mine-*", see
-    `mmc_gym.agents.resolve`; by default all trained ones that ship.
+    `mmc_gym.agents.resolve`; by default those of a benchmark that ship.
     """
-    shipped = sorted(name for name, entry in AGENTS.items() if entry.training_seeds)
+    shipped = sorted(
+        name for name, entry in AGENTS.items() if entry.training_seeds and entry.is_ranked
+    )
     cards: dict[str, list[PolicyCard]] = {}
     for one in resolve_all(agents or shipped):
         if one.card is None:
