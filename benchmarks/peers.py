@@ -88,6 +88,38 @@ def _vector(env: Any, num_envs: int, episode: int) -> Player:
     return Player(play, num_envs * episode, env.close)
 
 
+def rebuilt(env_id: str, family: str, low: float, high: float) -> Player:
+    """A new environment for each episode, as Gymnasium's own tutorial draws bodies."""
+    drawn = np.random.default_rng(0)
+    first = gym.make(env_id)
+    actions = [first.action_space.sample() for _ in range(first.spec.max_episode_steps or 0)]
+
+    def play() -> None:
+        env = gym.make(env_id, perturbations=f"{family}-{drawn.uniform(low, high):.3f}")
+        env.reset()
+        for action in actions:
+            env.step(action)
+        env.close()
+
+    return Player(play, len(actions), first.close)
+
+
+def carl(feature: str, low: float, high: float) -> Player:
+    """CARL's pendulum, with a context of another kind in each episode."""
+    from carl.envs import CARLPendulum
+
+    drawn = np.random.default_rng(0).uniform(low, high, 1000)
+    env = CARLPendulum(contexts={place: {feature: one} for place, one in enumerate(drawn)})
+    actions = [env.action_space.sample() for _ in range(200)]
+
+    def play() -> None:
+        env.reset()
+        for action in actions:
+            env.step(action)
+
+    return Player(play, len(actions), env.close)
+
+
 def dm_control(domain: str, task: str) -> Player:
     """One environment of dm_control's suite, unchanged."""
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn
@@ -177,6 +209,9 @@ SINGLE = (
     ),
     Entry(OURS, "analytic", partial(single, OURS, engine="analytic")),
     Entry("MMCReachGoal-v0", "", partial(single, "MMCReachGoal-v0")),
+    Entry("CARL's pendulum", "drawn lengths", partial(carl, "l", 0.7, 1.35)),
+    Entry(OURS, "drawn lengths", partial(single, OURS, perturbations="longer--30..35")),
+    Entry(OURS, "a new one each episode", partial(rebuilt, OURS, "longer", -30.0, 35.0)),
 )
 
 # Each episode draws its own strength; to compare with the same engine without perturbations.
@@ -216,6 +251,7 @@ GROWTH = tuple(
 WHAT_THEY_SIMULATE = f"""\
 Steps are those of all arms; resets are in the time.  What is simulated in a step of 0.02 s:
 {PEER}, EnvPool: 2 joints, MuJoCo, 2 substeps of Runge-Kutta, 4th order; reset after 50 steps.
+CARL: 1 joint, Euler, in Python, where observations are mappings; reset after 200 steps.
 gymnax: 2 joints without dynamics: they turn as the action says, at once; reset after 100 steps.
 dm_control: 2 joints, MuJoCo, 1 substep of Euler, no contacts; reset after 1000 steps.
 {OURS}: 3 joints with servos, 4 substeps of pymunk or of the analytic engine; reset after 100 steps.

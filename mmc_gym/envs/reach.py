@@ -182,6 +182,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         observation, _, info = self._look_and_reward()
         self._late.extend([observation] * self.setup.delay)
         observation = self._delayed(observation)
+        self._context = self.context
         self._has_context = self._draws is not None or len(self._shown) > 0
         if self._has_context:
             observation = self._with_context(observation, info)
@@ -294,7 +295,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _with_context(self, observation: Any, info: Info) -> Any:
         """Return the observation with the context, if that is shown; write it into `info`."""
         if self._draws is not None:
-            info["context"] = self._draws.context(self._numbers)
+            info["context"] = self._context.copy()
         return with_context(observation, self._shown) if len(self._shown) else observation
 
     def _place(self, posture: list[float], targets: list[Point]) -> None:
