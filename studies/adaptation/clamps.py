@@ -1,5 +1,7 @@
 """At which level do error clamps end?  Arithmetic beside `mmc-body` (tuned), by number of targets.
 
+The hand's direction is that at the end of movements, in the last third of trials.
+
 Errors above the largest one, e, count as e, and what a movement shows in one direction counts at
 the angle θ from it by g(θ) = exp(−θ²/2σ²).  With n targets that alternate at random, x ← A x + B e
 g(θ) ends where what is forgotten equals what is learned on average:
@@ -42,14 +44,11 @@ def main(counts: tuple[int, ...] = (1, 2, 4, 8), trials: int = 200, subjects: in
         targets = tuple(360 / count * number for number in range(count))
         blocks = Block("baseline", 8, targets=targets), Block("clamp", trials, "clamp-15", targets)
         agents = {"mmc-body (tuned)": body_model(TUNED)}
-        table = run_experiment(Experiment("levels", blocks), agents, subjects, jobs=1).trials
-        mean = table[table["phase"] == "baseline"].groupby(["subject", "target_angle"])
-        table = table.join(
-            mean["hand_angle"].mean().rename("straight"), ["subject", "target_angle"]
-        )
-        last = table[table["trial"] >= len(table) / subjects - 2 * count]
-        found = (last["straight"] - last["hand_angle"]).mean()
-        rows.append({"targets": count, "arithmetic [°]": level(targets), "hand angle [°]": found})
+        result = run_experiment(Experiment("levels", blocks), agents, subjects, jobs=1)
+        way = (result.hands[:, -1] - result.hands[:, 0]) @ (1, 1j)
+        turned = np.angle(way * np.exp(-1j * np.radians(result.trials["target_angle"])), deg=True)
+        found = -turned[result.trials["trial"] >= 8 + trials * 2 // 3].mean()
+        rows.append({"targets": count, "arithmetic [°]": level(targets), "hand [°]": found})
     shown = [{name: f"{value:.3g}" for name, value in row.items()} for row in rows]
     Console().print(table_of(shown, "levels of error clamps"))
 

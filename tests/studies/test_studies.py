@@ -41,6 +41,7 @@ SHORT = {
         r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
     ),
     "adaptation.recovery": ("--groups 2 --subjects 4", r"A_s .* 0\.99"),
+    "adaptation.clamps": ("--counts 8 --trials 16 --subjects 1", r"8 .* 15\.8"),
     "adaptation.reward": (
         "--sac-steps 150 --ppo-steps 2048 --trials 2 --every 1 --out out/curves.json",
         r"trials .* SAC .* PPO",
