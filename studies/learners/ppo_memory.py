@@ -114,7 +114,8 @@ def teach(
     """Return a student of a teacher with this card, after rounds of an episode of all arms."""
     torch.manual_seed(card.seed)
     options = card.context[0]["one_of"]
-    families = ["" if one is None else parse_change(one).family.name for one in options]
+    changes = [one and parse_change(one) for one in options]
+    families = [one.family.name if one and one.family else "" for one in changes]
     mixture = {"one_of": options, "weights": [OFTEN.get(one, 1.0) for one in families]}
     is_shown = np.tile([one not in SENSES for one in families if one], 2)  # option and strength
     arguments: Any = {"engine": "analytic", "perturbations": [mixture], "observe_context": True}
