@@ -180,20 +180,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
             delay, response = senses.delay, state.response
             response = response.observe(seen.joint_speeds, delay.late, delay.is_felt)
             state = state._replace(response=response)
-        state = self._identify_locks(state, step)
-        state = self._estimate_strength(state, step)
-        return self._locate_obstacles(state, step)
-
-    def _identify_locks(self, state: BodyState, step: LastStep) -> BodyState:
-        if not self.parts.finds_locks:
-            return state
-        locks = state.locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
-        return state._replace(locks=locks)
-
-    def _estimate_strength(self, state: BodyState, step: LastStep) -> BodyState:
-        recovers = state.senses.target.is_moving
+        if self.parts.finds_locks:
+            locks = state.locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
+            state = state._replace(locks=locks)
+        recovers = senses.target.is_moving
         drive = state.drive.estimate_acceleration(step, recovers, self.interface)
-        return state._replace(drive=drive)
+        return self._locate_obstacles(state._replace(drive=drive), step)
 
     def _locate_obstacles(self, state: BodyState, step: LastStep) -> BodyState:
         if not self.parts.avoids:

@@ -54,7 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some, where
-from mmc_gym.agents.body_model.forward_model import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, unit_vectors
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
 
@@ -116,20 +116,10 @@ def _mirrored(points: Points, chosen: Bools) -> Points:
     return np.where(chosen, points.conj(), points) if some(chosen) else points
 
 
-class Looks(NamedTuple):
-    """The last observations z, see `BodyEvidence`, (n, N + 2) each."""
-
-    first: Points
-    second: Points
-    third: Points
-    fourth: Points
-    last: Points
-
-
 class Change(NamedTuple):
     """The last observations, and how well their trend and the best hypothesis predict the next."""
 
-    looks: Looks
+    looks: Points  # the last z, see `BodyEvidence`, (n, 5, N + 2)
     error: Floats  # mean square error of the hypothesis, (n,)
     error_of_trend: Floats  # and of the trend
     is_on: Bools  # whether the body changes
@@ -140,8 +130,7 @@ class Change(NamedTuple):
         With its factors m, which are a turn and a gain, it explains the last hands; log m lies on a
         line in time.  Near the centre, where m is not known, the rest is a shift.
         """
-        z = np.stack(self.looks, axis=1)
-        units, error = z[..., :-2], z[..., -2]
+        units, error = self.looks[..., :-2], self.looks[..., -2]
         hands = error + (given.lengths[:, None] * units).sum(axis=-1)
         seen = _mirrored(hands, best.is_mirrored[:, None]) - best.shift[:, None]
         felt = best.turn[:, None] * (best.lengths[:, None] * units).sum(axis=-1)
@@ -161,20 +150,21 @@ class Change(NamedTuple):
         The trend is judged only where the hypothesis errs more than usual, or always likewise, and
         by more than the `blur` of the posture.
         """
-        looks, none = Looks(*self.looks[1:], z), np.zeros(len(hand))
+        none = np.zeros(len(hand))
+        looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
         if every(is_given):
             return Change(looks, none, none, none > 0)
-        error = _square(hand - evidence.best.seen(z[:, :-2]))
+        error = squared(hand - evidence.best.seen(z[:, :-2]))
         mean = self.error + SURPRISE_RATE * (error - self.error)
         mean[is_given | (evidence.age == 0)] = 0.0
         usual = evidence.scatter + (EXACT + 3 * blur)
-        fails = (mean > 3 * usual) | (3 * _square(evidence.offset) > usual) | self.is_on
+        fails = (mean > 3 * usual) | (3 * squared(evidence.offset) > usual) | self.is_on
         errs = np.flatnonzero(fails & ~is_given)
         if not len(errs):
             return Change(looks, mean, mean, none > 0)
         error_of_trend, is_on = mean.copy(), none > 0
         was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
-        error = _square(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
+        error = squared(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
         error = was.error_of_trend + SURPRISE_RATE * (error - was.error_of_trend)
         limit = np.where(was.is_on, ENDS_AT, BEGINS_AT)
         error_of_trend[errs] = error
@@ -187,11 +177,6 @@ def _of(state: Any, chosen: NDArray[np.intp]) -> Any:
     if isinstance(state, tuple):
         return type(state)(*(_of(field, chosen) for field in state))
     return state[chosen]
-
-
-def _square(points: Points) -> Floats:
-    """Return |z|²."""
-    return points.real**2 + points.imag**2
 
 
 class BodyEvidence(NamedTuple):
@@ -215,9 +200,9 @@ class BodyEvidence(NamedTuple):
     def start(cls, lengths: tuple[float, ...], arms: int) -> BodyEvidence:
         """Return the evidence before any observation, for the given lengths."""
         zero, origin, joints = np.zeros(arms), np.zeros(arms, complex), len(lengths)
-        z, sums = (np.zeros((arms, *more, joints + 2), complex) for more in ((), (joints + 3,)))
+        looks, sums = (np.zeros((arms, rows, joints + 2), complex) for rows in (5, joints + 3))
         given = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
-        change = Change(Looks(z, z, z, z, z), zero, zero, zero > 0)
+        change = Change(looks, zero, zero, zero > 0)
         return cls(zero, sums, given, given, origin, zero, best=given, change=change)
 
     def add(
@@ -255,8 +240,8 @@ class BodyEvidence(NamedTuple):
         if body is not self.given:
             error = hand - body.seen(units)
         offset = self.offset + rate * (error - self.offset)
-        scatter = self.scatter + rate * (_square(error - offset) - self.scatter)
-        square = _square(offset)
+        scatter = self.scatter + rate * (squared(error - offset) - self.scatter)
+        square = squared(offset)
         part = offset * square / (square + scatter + EXACT)
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
         return BodyEvidence(age, sums, self.given, body, offset, scatter, best, change)
@@ -364,7 +349,9 @@ def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
     lengths, turn, parameters = hypotheses(g, h, given)
     shift = sums[:, -1, -2] - turn * (lengths * sums[:, -1, :-2]).sum(axis=-1)
     shift = is_shifted * shift / count
-    error = np.maximum(_square_errors(lengths, turn, g, h, s), 0.0)
+    back = (turn.conj()[..., None] * h).real
+    own = (_product(g, lengths) * lengths).sum(axis=-1)
+    error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
     free = parameters[:, None, None] + 2 * is_shifted
     criterion = count * np.log((error + EXACT) / (count + 1))
     criterion += free * _penalty(sums)
@@ -382,13 +369,6 @@ def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
 def _penalty(sums: Points) -> Floats:
     """Return the penalty of a free parameter, for each arm."""
     return PENALTY + 2 * np.log1p(sums[:, -1, -1].real)
-
-
-def _square_errors(lengths: Floats, turn: Points, g: Floats, h: Points, s: Floats) -> Floats:
-    """Return S of hypotheses, (H, …), see above."""
-    back = (turn.conj()[..., None] * h).real
-    own: Floats = (_product(g, lengths) * lengths).sum(axis=-1)
-    return s - 2 * (back * lengths).sum(axis=-1) + own
 
 
 class Locks(NamedTuple):

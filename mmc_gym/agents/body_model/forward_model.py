@@ -31,6 +31,11 @@ def as_vectors(points: Points) -> Floats:
     return np.ascontiguousarray(points).view(np.float64).reshape(*points.shape, 2)
 
 
+def squared(points: Points) -> Floats:
+    """Return |z|²."""
+    return points.real**2 + points.imag**2
+
+
 def unit_vectors(joint_angles: Floats) -> Points:
     """Return the direction of each segment as a unit vector, (..., N)."""
     return np.exp(1j * np.cumsum(joint_angles, axis=-1))

@@ -51,6 +51,7 @@ from mmc_gym.agents.body_model.forward_model import (
     as_points,
     command_of,
     commanded_turn,
+    squared,
 )
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats, wrap_angle
@@ -320,8 +321,8 @@ class TargetTrack(NamedTuple):
         keep = 1 - forget
         velocity = self.velocity + 2 * self.curve + 1.5 * forget**2 * (1 + keep) * error
 
-        resting = self.error_resting + 0.2 * (_square(stray) - self.error_resting)
-        moving = self.error_moving + 0.2 * (_square(error) - self.error_moving)
+        resting = self.error_resting + 0.2 * (squared(stray) - self.error_resting)
+        moving = self.error_moving + 0.2 * (squared(error) - self.error_moving)
         moving = np.where(is_settled, moving, resting)
         after = TargetTrack(
             history=np.concatenate([self.history[:, 1:], target[:, None]], axis=1),
@@ -353,7 +354,7 @@ class TargetTrack(NamedTuple):
     def _noise_after(self, target: Points) -> Floats:
         """Return the estimate of σ² after one more observation of a smooth movement."""
         oldest, older, last = self.history.T
-        third = _square(target - 3 * last + 3 * older - oldest) / 40
+        third = squared(target - 3 * last + 3 * older - oldest) / 40
         rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
         return self.noise + rate * (third - self.noise)
 
@@ -367,11 +368,6 @@ class TargetTrack(NamedTuple):
             return self.mean
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
         return np.where(self.is_moving, ahead, self.mean)
-
-
-def _square(points: Points) -> Floats:
-    """Return |z|²."""
-    return points.real**2 + points.imag**2
 
 
 class Delay(NamedTuple):
