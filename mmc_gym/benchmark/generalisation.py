@@ -19,8 +19,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.drawn import OneOf
 from mmc_gym.envs.names import BASELINE, FAMILIES, Change, Range, as_change
+from mmc_gym.envs.perturbations import OneOf
 from mmc_gym.envs.scenarios import Scenario, parse_scenario
 
 if TYPE_CHECKING:

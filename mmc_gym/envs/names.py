@@ -31,7 +31,6 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError, nearest, require, require_known, unknown
-from mmc_gym.envs.drawn import OneOf
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
     Channel,
@@ -47,6 +46,7 @@ from mmc_gym.envs.perturbations import (
     LockedJoint,
     NoFeedback,
     Obstacles,
+    OneOf,
     Perturbation,
     SegmentLength,
     SensoryDelay,

@@ -612,6 +612,49 @@ class EndpointFeedback(Feedback):
         return ends
 
 
+class OneOf(Perturbation):
+    """One of several perturbations, drawn for each episode; `None` is no change.
+
+    Options that are drawn themselves, such as `VisuomotorRotation(uniform(-60, 120))`, are welcome.
+    """
+
+    def __init__(self, *options: Any, weights: Sequence[float] | None = None) -> None:
+        """Take perturbations, their names or None, and their relative weights (equal if None)."""
+        accepted = "at least two perturbations, names of them, or None"
+        require(len(options) > 1, "OneOf", options, accepted)
+        self.options = options
+        accepted = f"{len(options)} numbers of at least 0, not all 0"
+        self.weights = require_numbers(
+            "weights",
+            [1.0] * len(options) if weights is None else weights,
+            accepted,
+            lambda numbers: (
+                len(numbers) == len(options) and min(numbers) >= 0 and 0 < sum(numbers) < np.inf
+            ),
+        )
+
+    def __repr__(self) -> str:
+        return f"OneOf({', '.join(map(repr, self.options))}, weights={self.weights})"
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and vars(other) == vars(self)
+
+    def __hash__(self) -> int:
+        return hash((self.options, self.weights))
+
+    def check_hooks(self) -> None:
+        """Nothing to check: its options are checked by themselves."""
+
+    def ppf(self, shares: Floats) -> Floats:
+        """Return the numbers of the options at these quantiles."""
+        borders = np.cumsum(self.weights) / np.sum(self.weights)
+        return np.searchsorted(borders[:-1], shares, side="right").astype(np.float64)
+
+    def support(self) -> tuple[float, float]:
+        """Return the first and the last number."""
+        return 0.0, len(self.options) - 1.0
+
+
 @spelt
 @dataclass(frozen=True)
 class Timed(Perturbation):

@@ -33,7 +33,7 @@ from mmc_gym._errors import (
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.drawn import Draws, OneOf, senses_of
+from mmc_gym.envs.drawn import Draws, senses_of
 from mmc_gym.envs.names import Change, as_change, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Channel,
@@ -43,6 +43,7 @@ from mmc_gym.envs.perturbations import (
     Feedback,
     LockedJoint,
     Noise,
+    OneOf,
     Perturbation,
     SensoryDelay,
     Timed,

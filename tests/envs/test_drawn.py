@@ -12,12 +12,12 @@ from scipy import stats
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.envs.drawn import OneOf
 from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import (
     HandMass,
     JointNoise,
     LockedJoint,
+    OneOf,
     SegmentLength,
     Timed,
     VisionNoise,
