@@ -182,6 +182,8 @@ def draw_generalisation(results: Results) -> Figure:
                 axes.plot([*found], [*found.values()], markersize=3, label=agent, **look)
             axes.set(xlabel=f"{family} [{FAMILIES[family].unit}]", ylim=(-0.02, 1.02))
             axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
+        for row in drawn:
+            row[0].set_ylabel("success")
         handles, labels = drawn.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False)
     return figure
