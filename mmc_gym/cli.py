@@ -209,9 +209,9 @@ def benchmark(
     """Let agents play many scenarios; keep every episode in a store, print a ranking.
 
     Args:
-        agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
-            accepts; if not given, all that ship but ppo-drawn and ppo-context.
-        scenarios: Names, such as random or centre-out+delay-150, or your own environments, by id,
+        agents: Names (ppo: all seeds; ppo-3: one) and what compare accepts;
+            if not given, all that ship but ppo-drawn and ppo-context.
+        scenarios: Names, such as centre-out+delay-150, or your own by id,
             module:Id or module:function; all that ship, if not given.
         episodes: Episodes in each scenario; numbered trials are played once each.
         seed: Seed of the starts and targets.
@@ -219,8 +219,8 @@ def benchmark(
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
-        protocol: Scenarios inside, between and beyond the ranges that the first agent trained on
-            some was trained on, and combinations.
+        protocol: Scenarios inside, between and beyond the ranges that the
+            first agent trained on some was trained on, and combined.
     """
     from mmc_gym.agents import AGENTS, REFERENCE, resolve_all
     from mmc_gym.benchmark import generalisation, ranking, runner
