@@ -35,8 +35,8 @@ SMALL = {  # options for less work, unless the command has them
 # Libraries of which not all are installed everywhere; they may warn.
 OTHERS = ("d3rlpy", "minari", "ray", "torchrl")
 OF_RLLIB = ("tree", "lz4", "ormsgpack")  # Ray alone does not bring them
-# A window, a cluster, and every training: their options are checked only.
-TOO_MUCH = ("play", "--cluster", "--all")
+# A window, a cluster, every training, and a whole protocol: their options are checked only.
+TOO_MUCH = ("play", "--cluster", "--all", "--protocol", "--yardstick")
 
 pytestmark = [
     pytest.mark.slow,
