@@ -145,7 +145,9 @@ def ranked_scores(scores: pd.DataFrame) -> pd.DataFrame:
     attempts = scores[[*_POLICY, "environment"]].drop_duplicates()["environment"].value_counts()
     common = attempts.index[attempts == policies]
     if scores.empty or not len(common):
-        raise UserError("episodes must be of an environment that all agents have attempted")
+        names = ", ".join(map(str, scores["agent"].unique()))
+        others = "play them in the same ones, or some into another folder"
+        raise UserError(f"there is no scenario that all agents have attempted ({names}): {others}")
     return scores[scores["environment"].isin(common)].reset_index(drop=True)
 
 

@@ -99,13 +99,13 @@ def test_what_was_not_played_has_no_success():
         *frames, played("half", "one", [0.5] * 4), not_played=[CellKey("half", None, "two")]
     )
     assert half["success"].to_dict() == {"half": 0.5, "mmc": 0.25}
-    with pytest.raises(ValueError, match="an environment that all agents have attempted"):
+    with pytest.raises(ValueError, match="no scenario that all agents have attempted"):
         summary(played("mmc", "one", [0.5]), played("other", "two", [0.5]))
 
 
 def test_nothing_is_ranked_without_any_episode():
     none = played("mmc", "random", [0.5]).astype({"environment": "category"}).iloc[:0]
-    with pytest.raises(UserError, match="an environment that all agents have attempted"):
+    with pytest.raises(UserError, match="no scenario that all agents have attempted"):
         ranked_scores(none)
 
 
