@@ -148,7 +148,7 @@ def shown(row: Mapping[str, Any]) -> str:
 
 
 def tables(rows: pd.DataFrame) -> list[list[dict[str, str]]]:
-    """Return tables of each scenario and experiment: people and agents, and their quantities."""
+    """Return tables for each scenario and experiment: a row for people and each agent."""
     found = []
     for of, group in rows.groupby("of", sort=False):
         measures = [*dict.fromkeys(group["measure"])]

@@ -261,7 +261,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 self._randoms[arm] = seeding.np_random(seed)[0]
 
     def _place(self, arms: Indices, options: Options) -> None:
-        """Draw what is drawn and trials for these arms, and place them."""
+        """Draw perturbations and a trial for each of these arms, and put it at its start."""
         setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
         is_alone = np.full(len(arms), options.has_trial or not setup.draws_pairs)
         count, more = self._numbers.shape[1], setup.joint_count + 2  # numbers of a trial
