@@ -101,10 +101,11 @@ def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
         observations = np.concatenate(moved)
 
 
+@pytest.mark.parametrize("late", [(), ("delay-40",)])
 @pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS, "ppo-memory"]))
-def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name):
-    envs = gym.make_vec("MMCReach-v0", num_envs=3, **TROUBLES)
-    (observations, _), state, agent = envs.reset(seed=60_000), None, make_agent(name, envs)
+def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name, late):
+    envs = gym.make_vec("MMCReach-v0", num_envs=3, perturbations=("longer-20", "locked", *late))
+    (observations, _), state, agent = envs.reset(seed=60_002), None, make_agent(name, envs)
     predict = partial(agent.predict, deterministic=True)
     for _ in range(9):
         actions, state = predict(observations, state)

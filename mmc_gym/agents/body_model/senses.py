@@ -158,11 +158,13 @@ class Senses(NamedTuple):
 
         A hand that has not been seen to move, although joints have, is where it was at first.
         """
+        likely = self.posture.likely
         if not self.delay.may_lag:
-            return self.posture.likely
+            return likely
         waits = self.delay.is_felt & ~self.delay.is_seen
         steps = np.where(waits, LONGEST_DELAY, self.delay.lag).astype(np.intp)
-        return self.postures[np.arange(len(steps)), LONGEST_DELAY - steps]
+        past = self.postures[np.arange(len(steps)), LONGEST_DELAY - steps]
+        return np.where(steps[:, None] > 0, past, likely)
 
     def last_step(self, before: Senses, interface: ReachInterface) -> LastStep:
         """Return what is seen of the last control step, after what was seen `before`."""
