@@ -41,7 +41,7 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.response import Response
-from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY, Senses
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -152,57 +152,59 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return state.memory.body(best, given, self.parts) if self.learns else best
 
     def _observe(self, state: BodyState, seen: Seen) -> BodyState:
-        """Update what is seen and identified; `start` has entered the first observation already.
+        """Update what is seen and identified; `start` has entered the first posture and target.
 
         Only lengths and cursor are identified from a single observation.  They come last, so that
         the last control step is compared with the body as it was known then.
         """
-        is_first = state.looks == 0
-        state = state._replace(looks=state.looks + 1)
-        if not every(is_first):
-            after = self._compare_step(state, seen)
-            state = where(is_first, state, after) if some(is_first) else after
-        state = state._replace(senses=state.senses.look(seen))
-        is_hidden, after = state.senses.is_hidden, self._identify_body(state, seen)
+        is_first, looks = state.looks == 0, state.looks + 1
+        if some(is_first):
+            first = state._replace(looks=looks, senses=state.senses.look(seen))
+            state = first if every(is_first) else self._compare_step(state, seen, looks)
+            state = where(is_first, first, state)
+        else:
+            state = self._compare_step(state, seen, looks)
+        is_hidden, after = state.senses.is_hidden, self._identify_body(state)
         return where(is_hidden, state, after) if some(is_hidden) else after
 
-    def _compare_step(self, state: BodyState, seen: Seen) -> BodyState:
+    def _compare_step(self, state: BodyState, seen: Seen, looks: Floats) -> BodyState:
         """Compare the last control step with its command.
 
         The order matters, because each step rules out the causes before it: late senses show the
         effect of an older command; joints that do not turn are locked; joints that turn slowly bear
         a load; an obstacle stops one point of the arm, and then no load slowed the joints.
         """
-        senses = state.senses.update(seen, self.interface, self.parts)
-        step = senses.last_step(state.senses, self.interface)
-        state = state._replace(senses=senses)
+        senses, step = state.senses.update(seen, self.interface, self.parts)
+        response, locks = state.response, state.locks
         if self.has_own_act:
-            delay, response = senses.delay, state.response
+            delay = senses.delay
             response = response.observe(seen.joint_speeds, delay.late, delay.is_felt)
-            state = state._replace(response=response)
         if self.parts.finds_locks:
-            locks = state.locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
-            state = state._replace(locks=locks)
+            locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
         recovers = senses.target.is_moving
         drive = state.drive.estimate_acceleration(step, recovers, self.interface)
-        return self._locate_obstacles(state._replace(drive=drive), step)
+        contacts = state.contacts
+        if self.parts.avoids:
+            counts = step.is_clear & ~locks.is_locked.any(axis=-1)
+            lengths = self._body(state, state.evidence.best).lengths
+            contacts = contacts.locate(step, lengths, counts)
+            if some(contacts.is_new):
+                is_new = contacts.is_new[:, None]
+                strength = np.where(is_new, STRONGEST, drive.acceleration)
+                drive = drive._replace(acceleration=strength)
+        return state._replace(
+            looks=looks,
+            senses=senses,
+            locks=locks,
+            contacts=contacts,
+            drive=drive,
+            response=response,
+        )
 
-    def _locate_obstacles(self, state: BodyState, step: LastStep) -> BodyState:
-        if not self.parts.avoids:
-            return state
-        counts = step.is_clear & ~state.locks.is_locked.any(axis=-1)
-        lengths = self._body(state, state.evidence.best).lengths
-        contacts = state.contacts.locate(step, lengths, counts)
-        drive = state.drive
-        if some(contacts.is_new):
-            strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
-            drive = drive._replace(acceleration=strength)
-        return state._replace(contacts=contacts, drive=drive)
-
-    def _identify_body(self, state: BodyState, seen: Seen) -> BodyState:
+    def _identify_body(self, state: BodyState) -> BodyState:
         if not self.parts.identifies_body:
             return state
-        hands, joint_angles = as_points(seen.hand), state.senses.of_hand
+        hands, joint_angles = state.senses.hand, state.senses.of_hand
         if self.learns:
             hands = state.memory.as_given(hands, joint_angles)
         # Within a movement, agents that learn follow no change: they act on what they believe.
@@ -261,21 +263,22 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Return joint targets, and the state after they were sent."""
         interface, now = self.interface, problem.joint_angles
         left = interface.turn(now, state.route.next)
+        joint_targets: Floats = now + left
+        drive, memory = state.drive, state.memory
         if self.parts.drives and not interface.has_drive:
-            joint_targets, state = self._invert_servos(state, problem, left)
-        else:
-            joint_targets = now + left
+            joint_targets, drive, memory = self._invert_servos(state, problem, left)
         if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
             push = 0.0 if interface.has_drive else PUSH
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
-        return joint_targets, state._replace(senses=state.senses.record(command, interface))
+        senses = state.senses.record(command, interface)
+        return joint_targets, state._replace(senses=senses, drive=drive, memory=memory)
 
     def _invert_servos(
         self, state: BodyState, problem: ReachProblem, left: Floats
-    ) -> tuple[Floats, BodyState]:
+    ) -> tuple[Floats, Drive, Memory]:
         """Return the joint targets that make the servos turn the joints as they should."""
         memory, noise = state.memory, state.senses.posture.deviation
         turn, drive = self._turn(state, problem, left)
@@ -284,7 +287,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             turn, memory = memory.record_drift(problem, is_early).correct_drift(turn, problem)
         now = problem.joint_angles
         joint_targets, drive = drive.invert_servos(now, turn, left, noise, self.interface)
-        return joint_targets, state._replace(drive=drive, memory=memory)
+        return joint_targets, drive, memory
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""

@@ -99,7 +99,7 @@ class Senses(NamedTuple):
 
     @classmethod
     def start(cls, interface: ReachInterface, sensed: Sensed) -> Senses:
-        """Return the senses after the first observation, of arms at rest, but for the hand."""
+        """Return the senses after the first observation, of arms at rest."""
         joint_angles = sensed.joint_angles
         return cls(
             PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
@@ -112,41 +112,57 @@ class Senses(NamedTuple):
         )
 
     def look(self, seen: Seen) -> Senses:
-        """Return the senses that remember where the hand was seen, in which posture.
-
-        A hidden hand, or cursor, repeats its last sight, though the joints turn.
-        """
+        """Return the senses after the first look at the hand."""
         hand = as_points(seen.hand)
-        is_hidden = np.abs(hand - self.hand) < SAME_PLACE
-        if some(is_hidden):
-            turned = np.abs(seen.joint_angles - self.felt).max(axis=-1)
-            noise = self.posture.deviation[:, 0]
-            is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
+        is_hidden = self._hides(hand, seen.joint_angles, self.posture)
         return self._replace(hand=hand, felt=seen.joint_angles, is_hidden=is_hidden)
 
-    def update(self, seen: Seen, interface: ReachInterface, parts: Parts) -> Senses:
-        """Return the senses after one more observation; movement, and so delay, is seen last."""
-        joint_angles, speeds, place = seen.joint_angles, seen.joint_speeds, as_points(seen.target)
+    def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
+        """Return which hands are hidden: these repeat their last sight, though the joints turn."""
+        is_hidden = np.abs(hand - self.hand) < SAME_PLACE
+        if some(is_hidden):
+            turned = np.abs(joint_angles - self.felt).max(axis=-1)
+            noise = posture.deviation[:, 0]
+            is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
+        return is_hidden
+
+    def update(
+        self, seen: Seen, interface: ReachInterface, parts: Parts
+    ) -> tuple[Senses, LastStep]:
+        """Return the senses after one more observation, and what it shows of the last step.
+
+        Movement, and so delay, is seen last.
+        """
+        joint_angles, speeds = seen.joint_angles, seen.joint_speeds
+        place, hand = as_points(seen.target), as_points(seen.hand)
+        delay, commands = self.delay, self.delay.commands_seen()
         if parts.filters:
-            posture = self.posture.filter(
-                joint_angles, speeds, self.delay.commands_seen(), interface
-            )
+            posture = self.posture.filter(joint_angles, speeds, commands, interface)
             target = self.target.filter(place, interface.control_step)
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        delay = self.delay
-        if not delay.is_known or not every(posture.age > EARLY):
-            moved = np.abs(as_points(seen.hand) - self.hand)
+        if not every(posture.age > EARLY) or not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
+            moved = np.abs(hand - self.hand)
             delay = delay.estimate(self.posture, posture, moved, is_sharp)
+            commands = delay.commands_seen()
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
+            commands = delay.commands_seen()
         postures = self.postures
         if delay.may_lag:
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
-        return self._replace(posture=posture, target=target, delay=delay, postures=postures)
+        is_hidden = self._hides(hand, joint_angles, posture)
+        step = LastStep(
+            before=self.posture,
+            after=posture,
+            commanded=commanded_turn(interface, self.posture.joint_angles, commands),
+            is_felt=delay.is_felt,
+            is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR),
+        )
+        return Senses(posture, target, delay, hand, joint_angles, is_hidden, postures), step
 
     def record(self, command: Floats, interface: ReachInterface) -> Senses:
         """Return the senses after commands were sent."""
@@ -165,17 +181,6 @@ class Senses(NamedTuple):
         steps = np.where(waits, LONGEST_DELAY, self.delay.lag).astype(np.intp)
         past = self.postures[np.arange(len(steps)), LONGEST_DELAY - steps]
         return np.where(steps[:, None] > 0, past, likely)
-
-    def last_step(self, before: Senses, interface: ReachInterface) -> LastStep:
-        """Return what is seen of the last control step, after what was seen `before`."""
-        commands, start = self.delay.commands_seen(), before.posture
-        return LastStep(
-            before=start,
-            after=self.posture,
-            commanded=commanded_turn(interface, start.joint_angles, commands),
-            is_felt=self.delay.is_felt,
-            is_clear=(self.delay.late == 0) & (self.posture.deviation[:, 0] < CLEAR),
-        )
 
 
 class LastStep(NamedTuple):
@@ -216,14 +221,13 @@ class PostureTrack(NamedTuple):
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
         median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
         is_noisy = (median > 0.0) | (self.noise > 0.0)
-        exact = wrap_angle(joint_angles - self.joint_angles)
         if not some(is_noisy):
-            return self._turned(exact, joint_angles, speeds)
-        median = np.clip(median, 0.0, LARGEST)
+            return self.accept(joint_angles, speeds)
+        median = np.minimum(np.maximum(median, 0.0), LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         commanded = commanded_turn(interface, self.joint_angles, commands)
-        of_speeds = (unclear * unclear).mean(axis=-1, keepdims=True)
+        of_speeds = (unclear * unclear).sum(axis=-1, keepdims=True) / unclear.shape[-1]
         of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
         of_command += LEAST_ERROR**2
         share = of_speeds / (of_speeds + of_command)
@@ -233,20 +237,17 @@ class PostureTrack(NamedTuple):
         doubt = np.where(self.age == 1, noise, self.doubt) + share * of_command
         doubt = doubt + np.maximum(bias * bias - BIASED * noise, 0.0)
         gain = doubt / (doubt + noise)
-        turn = np.where(is_noisy, turn + gain * innovation, exact)
-        after = self._turned(turn, joint_angles, speeds)
-        return after._replace(noise=noise, doubt=(1 - gain) * doubt, bias=bias)
+        turn, doubt, age = turn + gain * innovation, (1 - gain) * doubt, self.age + 1
+        if not every(is_noisy):
+            turn = np.where(is_noisy, turn, wrap_angle(joint_angles - self.joint_angles))
+        after = self.joint_angles + turn
+        return PostureTrack(after, turn, joint_angles, speeds, noise, doubt, bias, age)
 
     def accept(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after one more observation, taken as exact."""
-        return self._turned(wrap_angle(joint_angles - self.joint_angles), joint_angles, speeds)
-
-    def _turned(self, turn: Floats, seen: Floats, speeds: Floats) -> PostureTrack:
-        """Return the estimate after the joints turned by `turn` and were seen at `seen`."""
-        joint_angles, age = self.joint_angles + turn, self.age + 1
-        return self._replace(
-            joint_angles=joint_angles, turn=turn, seen=seen, speeds=speeds, age=age
-        )
+        turn, age = wrap_angle(joint_angles - self.joint_angles), self.age + 1
+        after, seen = self.joint_angles + turn, joint_angles
+        return self._replace(joint_angles=after, turn=turn, seen=seen, speeds=speeds, age=age)
 
     @property
     def likely(self) -> Floats:
@@ -391,8 +392,10 @@ class Delay(NamedTuple):
 
     @property
     def may_lag(self) -> bool:
-        """Whether the hand of any arm is seen late, or has not been seen to move."""
-        return some(self.late_sight) or not every(self.is_seen)
+        """Whether any hand is seen later than its joints are felt, or not seen to move yet."""
+        if not every(self.is_seen):
+            return True
+        return some(self.late_sight) and some(self.late_sight > self.late)
 
     @property
     def lag(self) -> Floats:
