@@ -28,7 +28,7 @@ from mmc_gym.agents.base import FeedbackAgent, every, some, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
-from mmc_gym.agents.body_model.forward_model import as_points, command_of, hand
+from mmc_gym.agents.body_model.forward_model import Response, as_points, command_of, hand
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
     InternalModel,
@@ -40,7 +40,6 @@ from mmc_gym.agents.body_model.imagination import (
 from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.response import Response
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY, Senses
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
