@@ -20,6 +20,7 @@ from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, network_of_bod
 from mmc_gym.agents.body_model.body import PLACE_RATE, Body, Locks
 from mmc_gym.agents.body_model.imagination import settle_network
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 
@@ -33,6 +34,7 @@ class KnownBody(BodyAgent):
         parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
         super().__init__(interface, partial(settle_network, network_of_body(interface)), parts)
         self.setup: ReachSetup = env.unwrapped.setup
+        self.late = min(self.setup.delay, LONGEST_DELAY)
 
     @override
     def start(self, sensed: Sensed) -> BodyState:
@@ -46,7 +48,7 @@ class KnownBody(BodyAgent):
                 turn, shift = turn.conjugate(), shift.conjugate()
         lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))
         body = Body(lengths, *(np.full(arms, one) for one in (turn, shift, is_mirrored)))
-        delay = state.senses.delay._replace(late=np.full(arms, float(self.setup.delay)))
+        delay = state.senses.delay._replace(late=np.full(arms, float(self.late)))
         return state._replace(
             evidence=state.evidence._replace(body=body, best=body),
             senses=state.senses._replace(delay=delay),
@@ -62,7 +64,7 @@ class KnownBody(BodyAgent):
     def _true_locks(self, state: BodyState) -> Locks:
         """Return the locks in this control step; delayed senses show the locked angles later."""
         since = state.looks - 1 - (self.setup.lock_step or 0)
-        late, seen = self.setup.delay, state.senses.posture.joint_angles
+        late, seen = self.late, state.senses.posture.joint_angles
         by_now = state.senses.delay.run_forward(self.interface, seen)
         place = state.locks.place
         place = np.where((since <= 0)[:, None], by_now, place)

@@ -5,9 +5,12 @@ import runpy
 import sys
 from pathlib import Path
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
 from mmc_gym.benchmark.runner import benchmark
+from studies.body_model.known_body import KnownBody
 
 pytestmark = pytest.mark.slow
 
@@ -78,3 +81,12 @@ def test_the_readme_names_every_study_that_is_there():
     }
     named = set(re.findall(r"python -m studies\.([\w.]+)", readme))
     assert {name.removesuffix(".__main__") for name in commands} == named
+
+
+def test_an_agent_that_is_given_its_body_acts_however_late_its_senses_are():
+    envs = gym.make_vec("MMCReach-v0", num_envs=2, perturbations=["delay-600", "locks-1"])
+    (observations, _), state, agent = envs.reset(seed=0), None, KnownBody(envs)
+    for _ in range(50):
+        actions, state = agent.predict(observations, state)
+        observations, *_ = envs.step(actions)
+    assert np.abs(actions).max() > 0
