@@ -2,11 +2,14 @@
 
 Groups of simulated learners have one or two states and motor noise.  They are alike, or each
 parameter differs by 30 % between them (of A, what is forgotten, 1 − A).  Each group is analysed as
-the subjects of an experiment are: a fit to the mean curve, and an interval over subjects.
+the subjects of an experiment are: a fit to the mean curve, and an interval over subjects.  It
+estimates the parameters of that curve; where learners differ, they are not the mean parameters.
 
-    bias        mean estimate less the true value, of the mean learner
-    sd          standard deviation of the estimates
-    coverage    share of the 95 % intervals that contain the true value
+    learner     parameter of the mean learner
+    curve       that of the mean curve of 3,000 such learners without noise
+    mean, sd    of the estimates
+    coverage    share of the 95 % intervals that contain the parameter of the curve
+    of learner  share of them that contain that of the mean learner
     chosen      share of the groups in which the least BIC is that of the true number of states
 """
 
@@ -48,6 +51,7 @@ LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 NOISE = 3.0  # °, of each movement
 PERTURBATION = 30.0  # °
 RESAMPLES = 200  # of the subjects, for each interval
+MANY = 3000  # learners without noise, whose mean curve is that of the population
 RATE, ASYMPTOTE, WIDTH = 0.05, 25.0, 38.0
 OFFSETS = np.array([0.0, 22.5, 45.0, 90.0, 180.0, -90.0, -45.0, -22.5])
 
@@ -96,31 +100,32 @@ def simulate_learners(
 def recovery(
     fit: Callable[[Floats], Any],
     simulate: Callable[[int], Floats],
-    true: Mapping[str, float],
+    learner: Mapping[str, float],
+    curve: Floats,
     groups: int,
-    resamples: int,
 ) -> dict[str, dict[str, float]]:
-    """Return mean, bias, sd and coverage for each parameter that `fit` returns, in its order."""
-    estimates, covered = [], []
-    wanted = np.array(list(true.values()))
+    """Return the columns of the table for each parameter that `fit` returns, in its order."""
+    estimates, bounds = [], []
+    of_curve = np.ravel(fit(curve[np.newaxis]))
     for group in range(groups):
         curves = simulate(group)
-        found = fit(resampled_means(curves, resamples))
-        values = np.reshape(found, (resamples + 1, len(true))).T
+        found = np.reshape(fit(resampled_means(curves, RESAMPLES)), (-1, len(learner)))
         tails = expanded_tails(len(curves))
-        low, high = np.transpose([percentile_interval(one[1:], tails) for one in values])
-        estimates.append(values[:, 0])
-        covered.append((low <= wanted) & (wanted <= high))
-    columns = zip(true, wanted, np.transpose(estimates), np.mean(covered, axis=0), strict=True)
+        estimates.append(found[0])
+        bounds.append([percentile_interval(one, tails) for one in found[1:].T])
+    low, high = np.moveaxis(np.array(bounds), -1, 0)
+    of_learner = np.array(list(learner.values()))
+    columns = {
+        "learner": of_learner,
+        "curve": of_curve,
+        "mean": np.nanmean(estimates, axis=0),
+        "sd": np.nanstd(estimates, axis=0),
+        "coverage": np.mean((low <= of_curve) & (of_curve <= high), axis=0),
+        "of learner": np.mean((low <= of_learner) & (of_learner <= high), axis=0),
+    }
     return {
-        name: {
-            "true": value,
-            "mean": float(np.nanmean(one)),
-            "bias": float(np.nanmean(one)) - value,
-            "sd": float(np.nanstd(one)),
-            "coverage": float(coverage),
-        }
-        for name, value, one, coverage in columns
+        name: {key: float(column[index]) for key, column in columns.items()}
+        for index, name in enumerate(learner)
     }
 
 
@@ -149,14 +154,15 @@ def state_rows(schedule: str, states: int, spread: float, groups: int, subjects:
     def fit(curves: Floats) -> Floats:
         return fit_states(curves, perturbations, clamps, states=states)
 
-    true = {name: getattr(learner, name) for name in names}
-    found = recovery(fit, simulate, true, groups, RESAMPLES)
+    one = {name: getattr(learner, name) for name in names}
+    many = simulate_learners(learner, perturbations, clamps, subjects=MANY, spread=spread)[0]
+    found = recovery(fit, simulate, one, many.mean(axis=0), groups)
     seen: Any = {"perturbation": perturbations, "clamp": clamps}
     chosen = 0
     for group in range(groups):
         mean = simulate(group).mean(axis=0)
-        one, two = (fit_curve(mean, kind, **seen).bic for kind in ("one-state", "two-state"))
-        chosen += (two < one) == (states == 2)
+        bics = [fit_curve(mean, kind, **seen).bic for kind in ("one-state", "two-state")]
+        chosen += (bics[1] < bics[0]) == (states == 2)
     case = f"{states} state{'s' * (states > 1)}, {schedule}, {'differ' if spread else 'alike'}"
     return [(case, name, own, f"{chosen / groups:.0%}") for name, own in found.items()]
 
@@ -194,12 +200,13 @@ def main(groups: int = 100, subjects: int = 12) -> None:
             shape = (subjects, len(curve))
             return np.asarray(curve + np.random.default_rng(group).normal(0.0, NOISE, shape))
 
-        found = recovery(fit, noisy, true, groups, RESAMPLES)
+        found = recovery(fit, noisy, true, curve, groups)
         rows += [(case, name, own, "–") for name, own in found.items()]
     printed = [
         {"case": case, "parameter": name}
-        | {key: f"{value:.4f}" for key, value in own.items() if key != "coverage"}
-        | {"coverage": f"{own['coverage']:.0%}", "chosen": chosen}
+        | {key: f"{own[key]:.4f}" for key in ("learner", "curve", "mean", "sd")}
+        | {key: f"{own[key]:.0%}" for key in ("coverage", "of learner")}
+        | {"chosen": chosen}
         for case, name, own, chosen in rows
     ]
     title = f"{groups} groups of {subjects} simulated learners"
