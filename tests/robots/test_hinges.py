@@ -1,6 +1,5 @@
 """Arms of hinges in space, and the network that settles on their poses."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -49,23 +48,15 @@ def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_ref
     assert arm.joint_names == ("one", "three", "four")
 
 
-LIMIT = '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
-RING = """<joint name="up" type="fixed"><parent link="e"/><child link="a"/></joint>
-  <link name="f"/></robot>"""
-
-
 @pytest.mark.parametrize(
     ("before", "after", "named"),
     [
         ("{kind}", "prismatic", "joint 'four' of line 10 .*'prismatic'"),
-        ("{kind}", "", "joint 'four' of line 10 .*''"),
         ("<limit", "<mimic joint='one'/><limit", "'one' of line 3 .*<mimic>"),
-        ("</joint>", "", "XML: .*line 3"),
         ('xyz="0.1 -0.2', "xyz=0.1 -0.2", "XML: .*line 4"),
         ("0.1 -0.2 0.3", "0.1 0.2", "joint 'one' of line 3"),
         ("0.1 -0.2 0.3", "nan 0 0", "'one' of line 3 .*<origin>"),
         ("0 0.6 0.8", "0 0 0", "joint 'one' of line 3 .*<axis>"),
-        (LIMIT, "", "joint 'one' of line 3 .*<limit>"),
         ('lower="-1"', "", "joint 'one' of line 3 .*<limit>"),
         ('lower="-1"', 'lower="2"', "'one' of line 3 .*limits .*2 and 2"),
         ('<parent link="a"/>', "", "joint 'one' of line 3 .*<parent link"),
@@ -93,13 +84,9 @@ def test_what_lies_beside_the_chain_may_slide_or_close_a_circle(tmp_path):
     assert HingeArm.from_urdf(path, base="a", tip="d").joint_count == 2
     with pytest.raises(UserError, match="between base 'b' and tip 'c' must be a hinge"):
         HingeArm.from_urdf(path, base="b", tip="c")
-    path.write_text(ODD.format(kind="revolute").replace("</robot>", RING))
+    ring = '<joint name="up" type="fixed"><parent link="e"/><child link="a"/></joint></robot>'
+    path.write_text(ODD.format(kind="revolute").replace("</robot>", ring))
     assert HingeArm.from_urdf(path, base="a", tip="e").joint_count == 3
-    with pytest.raises(UserError, match=r"tree, but joint '.*' of line .* closes a circle"):
-        HingeArm.from_urdf(path, base="f", tip="e")
-    path.write_text("<robot/>")
-    with pytest.raises(UserError, match="base 'a' is not accepted"):
-        HingeArm.from_urdf(path, base="a", tip="e")
 
 
 @pytest.mark.slow  # loads robots in pybullet
@@ -153,54 +140,41 @@ def test_it_finds_random_poses_within_the_limits(name):
     assert ((solution.joint_angles >= low) & (solution.joint_angles <= high)).all()
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 4, 6])
-def test_a_planar_arm_finds_its_poses_by_itself(joints):
+def planar(joints):
     points = np.linspace(0, 1, joints, endpoint=False)[:, None] * [1, 0, 0]
     home = np.eye(4) + np.eye(4, k=3)
-    arm = HingeArm(np.tile([0, 0, 1], (joints, 1)), points, home, np.tile([-3, 3], (joints, 1)))
+    return HingeArm(np.tile([0, 0, 1], (joints, 1)), points, home, np.tile([-3, 3], (joints, 1)))
+
+
+def resized(by):
+    home = PANDA.home.copy()
+    home[:3, 3] *= by
+    return replace(PANDA, points=by * PANDA.points, home=home)
+
+
+@pytest.mark.parametrize("arm", [*map(planar, (1, 2, 3, 4, 6)), *map(resized, (0.1, 50.0))])
+def test_an_arm_in_the_plane_or_of_any_size_finds_its_poses(arm):
     poses = arm.forward(postures(arm, 100))
     assert HingeNetwork(arm).solve(poses[:, :3, 3]).is_solved.all()
     assert HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3]).is_solved.all()
 
 
-@pytest.mark.parametrize("free", [(3,), (1, 3), (1, 3, 5)])
-def test_a_robot_with_few_free_joints_finds_its_poses_by_itself(free):
+@pytest.mark.parametrize("free", [(), (3,), (1, 3), (1, 3, 5)])
+def test_a_robot_with_few_free_joints_finds_its_poses_and_none_is_the_forward_task(free):
     angles = postures(PANDA, 100)
     poses, held = PANDA.forward(angles), {i: angles[:, i] for i in range(7) if i not in free}
-    network = HingeNetwork(PANDA)
-    assert network.solve(poses[:, :3, 3], poses[:, :3, :3], held=held).is_solved.all()
+    solution = HingeNetwork(PANDA).solve(poses[:, :3, 3], poses[:, :3, :3], held=held)
+    assert solution.is_solved.all()
+    np.testing.assert_array_equal(solution.joint_angles[:, list(held)], angles[:, list(held)])
 
 
-def test_tasks_may_be_mixed():
-    """The hand at one point, the elbow at another, a joint locked: every clamp holds."""
-    nodes = PANDA.nodes(POSTURE)
-    solution = HingeNetwork(PANDA).solve(
-        position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, tolerance=EXACT
-    )
+def test_the_hand_and_the_elbow_are_at_points_with_a_joint_locked_by_its_name():
+    nodes, network = PANDA.nodes(POSTURE), HingeNetwork(PANDA)
+    task = {"position": nodes[-1], "points": {1: nodes[1]}, "held": {"panda_joint6": 1.6}}
+    solution = network.solve(**task, tolerance=EXACT)
     assert solution.is_solved
     np.testing.assert_allclose(PANDA.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
     assert solution.joint_angles[5] == 1.6
-
-
-def test_held_joints_give_the_forward_task():
-    network = HingeNetwork(PANDA)
-    clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(POSTURE)))
-    state = network.run(network.state(np.zeros(7)), clamps, 3)
-    assert state.joint_angles.tolist() == POSTURE.tolist()
-
-
-def test_a_joint_is_held_by_its_name_or_its_index():
-    network = HingeNetwork(PANDA)
-    by_name, by_index = (network.clamp(held={joint: 0.3}) for joint in ("panda_joint2", 1))
-    assert by_name.tasks.tobytes() == by_index.tasks.tobytes()
-
-
-@pytest.mark.parametrize("angle", [90, [-1.0, 0.5], np.nextafter(PANDA.limits[3, 1], 9)])
-def test_a_joint_is_held_within_its_limits(angle):
-    said = "held .* within the limits of 'panda_joint4', -3.072 to -0.0698 rad, got"
-    with pytest.raises(UserError, match=said):
-        HingeNetwork(PANDA).clamp(held={3: angle})
-    assert HingeNetwork(PANDA).clamp(held={3: PANDA.limits[3]}).tasks["low"][:, 3].size == 2
 
 
 def test_a_target_out_of_reach_gives_the_stretched_arm():
@@ -211,13 +185,6 @@ def test_a_target_out_of_reach_gives_the_stretched_arm():
     reach = 0.425 + 0.39225 + np.hypot(0.0823, 0.09465)
     assert np.linalg.norm(hand - [0, 0, 0.089159]) > reach - 0.02
     assert np.abs(hand[1:] - [0.0, 0.089159]).max() < 0.05
-
-
-def test_the_given_start_is_preferred():
-    pose = PANDA.forward(POSTURE + 0.05)
-    near = HingeNetwork(PANDA).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
-    assert near.is_solved
-    assert np.abs(near.joint_angles - POSTURE).max() < 0.15
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -243,15 +210,6 @@ def test_no_joint_turns_by_a_whole_turn_more_than_its_limits_require():
     for turned in (found - 2 * np.pi, found + 2 * np.pi):
         is_farther = np.abs(turned - start) > np.abs(found - start) - 1e-9
         assert (is_farther | (turned < arm.limits[:, 0]) | (turned > arm.limits[:, 1])).all()
-
-
-@pytest.mark.parametrize("by", [0.1, 50.0])
-def test_an_arm_of_any_size_finds_its_poses(by):
-    home = PANDA.home.copy()
-    home[:3, 3] *= by
-    arm = replace(PANDA, points=by * PANDA.points, home=home)
-    poses = arm.forward(postures(arm, 100))
-    assert HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3]).is_solved.all()
 
 
 def test_one_start_is_no_other():
@@ -281,6 +239,8 @@ def test_batches_are_solved_as_their_tasks_alone():
         ({"held": {7: 0.0}}, "joint 7 .*panda_joint7 or an index from 0 to 6"),
         ({"held": {"joint2": 0.0}}, "did you mean 'panda_joint2'"),
         ({"held": {1: 0.0, "panda_joint2": 0.1}}, "held .* different joints"),
+        ({"held": {3: [-1, 0.5]}}, "held .* limits of 'panda_joint4', -3.072 to -0.0698 rad"),
+        ({"held": {3: np.nextafter(PANDA.limits[3, 1], 9)}}, "held .* within the limits"),
         ({"points": {0: [0, 0, 0]}}, "node 0"),
         ({"position": [np.nan, 0, 0]}, "position .* finite"),
         ({"start": np.full(7, np.nan)}, "start .* finite"),
@@ -296,11 +256,9 @@ def test_a_task_that_does_not_fit_the_arm_is_refused(arguments, named):
 @pytest.mark.parametrize(
     ("turn", "said"),
     [
-        (np.ones((3, 3)), "off by 3 and has the determinant 0"),
         (np.zeros((3, 3)), "off by 1 and has the determinant 0"),
         (np.diag([1.0, 1.0, -1.0]), "off by 0 and has the determinant -1"),
         (np.eye(3) * (1 + 1e-6), "off by 2e-06 and has the determinant 1"),
-        (np.eye(3) + 1e-3 * np.eye(3, k=1), "off by 0.001 and has the determinant 1"),
     ],
 )
 def test_a_matrix_that_is_no_rotation_is_refused(turn, said):
@@ -313,10 +271,11 @@ def test_a_matrix_that_is_no_rotation_is_refused(turn, said):
         network.clamp(rotation=turns)
 
 
-def test_a_rotation_in_single_precision_is_accepted():
+def test_a_rotation_in_single_precision_and_the_limits_themselves_are_accepted():
     turns = PANDA.forward(postures(PANDA, 500))[:, :3, :3].astype(np.float32)
     assert HingeNetwork(PANDA).clamp(rotation=turns).tasks.shape == (500,)
     assert HingeNetwork(PANDA).clamp(rotation=turns[:0]).tasks.shape == (0,)
+    assert HingeNetwork(PANDA).clamp(held={3: PANDA.limits[3]}).tasks.shape == (2,)
 
 
 @pytest.mark.parametrize(
@@ -325,7 +284,6 @@ def test_a_rotation_in_single_precision_is_accepted():
         (lambda arm: HingeNetwork(arm, damping=1.5), "damping .* more than"),
         (lambda arm: replace(arm, limits=arm.limits[:, ::-1]), "limits .* pairs"),
         (lambda arm: replace(arm, points=arm.points[1:]), r"points .* \(7, 3\)"),
-        (lambda arm: replace(arm, points=np.nan * arm.points), "points"),
         (lambda arm: replace(arm, points=np.inf * arm.points), "points"),
         (lambda arm: replace(arm, home=np.diag([1, 1, -1, 1])), "home .* rotation.*determinant -1"),
         (lambda arm: replace(arm, home=np.diag([1, 1, 1, 2])), "home .* pose"),
@@ -336,12 +294,3 @@ def test_a_rotation_in_single_precision_is_accepted():
 def test_a_description_of_no_arm_or_network_is_refused(make, named):
     with np.errstate(invalid="ignore"), pytest.raises(UserError, match=named):
         make(PANDA)
-
-
-def test_without_numba_a_network_names_the_extra(monkeypatch):
-    for name in ("numba", "mmc_gym._compiling", "mmc_gym.robots.iteration"):
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "mmc_gym._compiling")
-    monkeypatch.delitem(sys.modules, "mmc_gym.robots.iteration")
-    with pytest.raises(UserError, match=r"HingeNetwork .* needs numba, .*mmc-gym\[fast\]"):
-        HingeNetwork(HingeArm.named("ur5"))
