@@ -1,4 +1,4 @@
-"""Kinds of networks, and the engines that iterate them behind one call."""
+"""Kinds of networks, and what iterates them, behind one call."""
 
 from itertools import product
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCState, chain
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, MMCState, chain
 from mmc_gym.network.differentiable import TorchNetwork, TorchState
 
 DYNAMICS = ("kinematic", "paper", "reference")
@@ -38,13 +38,7 @@ def iterate_torch(network, state, clamps, iterations):
     return MMCState(end.values.numpy(), state.segment_count)
 
 
-@pytest.fixture(scope="session")
-def iterate():
-    """A function of engine, network, state, clamps and number of iterations."""
-
-    def run(engine, network, *arguments):
-        if engine == "torch":
-            return iterate_torch(network, *arguments)
-        return network.run(*arguments)
-
-    return run
+@pytest.fixture(params=[MMCNetwork.run, iterate_torch], ids=["numpy", "torch"])
+def iterate(request):
+    """A function of network, state, clamps and number of iterations."""
+    return request.param

@@ -5,17 +5,13 @@ import pytest
 import torch
 
 from mmc_gym._errors import UserError
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 
-every_normalizer = pytest.mark.parametrize("learned", [False, True])
-SCALARS = ("segment_lengths", "damping", "velocity_damping", "velocity_decay")
 
-
-def twin(*, learned=False, **arguments):
+def twin(**arguments):
     """A network and its like in torch."""
-    normalizer = LearnedNormalizer.shipped("paper") if learned else EuclideanNormalizer()
-    network = MMCNetwork((1.0, 0.7, 1.3), damping=5, normalizer=normalizer, **arguments)
+    network = MMCNetwork((1.0, 0.7, 1.3), damping=5, **arguments)
     return network, TorchNetwork(network, dtype=torch.float64)
 
 
@@ -23,10 +19,9 @@ def doubles(*numbers):
     return torch.tensor(numbers, dtype=torch.float64, requires_grad=True)
 
 
-@every_normalizer
 @pytest.mark.parametrize("pairs", [[(0, 3)], [(0, 1), (1, 3)]], ids=["inverse", "mixed"])
-def test_gradients_flow_through_iterations_to_all_that_they_depend_on(kind, learned, pairs):
-    _, network = twin(learned=learned, **kind)
+def test_gradients_flow_through_iterations_to_all_that_they_depend_on(kind, normalizer, pairs):
+    _, network = twin(normalizer=normalizer, **kind)
     network.requires_grad_(True)
 
     def end(angles, targets, *parameters):
@@ -54,11 +49,10 @@ def test_an_arm_that_was_bent_has_gradients_too():
     assert torch.isfinite(angles.grad).all() and torch.isfinite(target.grad).all()
 
 
-@every_normalizer
-def test_the_network_of_numpy_comes_back_as_it_was(kind, learned):
-    network, same = twin(learned=learned, **kind)
+def test_the_network_of_numpy_comes_back_as_it_was(kind, normalizer):
+    network, same = twin(normalizer=normalizer, **kind)
     back = same.to_numpy()
-    for name in (*SCALARS, "dynamics", "schedule"):
+    for name in ("segment_lengths", "damping", "velocity_damping", "velocity_decay", *kind):
         assert getattr(back, name) == getattr(network, name)
     vectors = np.random.default_rng(0).normal(size=(5, 2))
     np.testing.assert_array_equal(back.normalizer(vectors), network.normalizer(vectors))
@@ -103,17 +97,17 @@ def test_what_is_given_is_brought_to_the_module():
     assert at_rest(network.double()).values.dtype == torch.float64
 
 
-def test_impossible_calls_are_refused():
-    for call, message in (
-        (lambda n: n.state_from_joint_angles("ab"), "joint_angles must be .*, got 'ab'"),
-        (lambda n: n(at_rest(twin(dynamics="paper")[1])), "state must be a TorchState"),
-        (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) must be of shape \(\.+, 2\)"),
-        (lambda n: n.damping.data.fill_(1.0) and n.to_numpy(), r"damping must be .*, got 1\.0"),
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda n: n.state_from_joint_angles("ab"), "joint_angles must .* 'ab'"),
+        (lambda n: n(at_rest(twin(dynamics="paper")[1])), "TorchState"),
+        (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) .* shape"),
+        (lambda n: n(at_rest(n), {(0, 1): torch.ones(3, 2), (0, 3): torch.ones(2, 2)}), "batch"),
+        (lambda n: n.damping.data.fill_(1.0) and n.to_numpy(), r"damping .* 1\.0"),
         (lambda n: setattr(n, "normalizer", torch.nn.Tanh()) or n.to_numpy(), "the original one"),
-        (
-            lambda n: n(n.state_from_joint_angles(torch.ones(2, 3)), {(0, 3): torch.ones(3, 2)}),
-            r"clamps must have batch axes that fit, got .*\[2\].*\[3\]",
-        ),
-    ):
-        with pytest.raises(UserError, match=message):
-            call(twin()[1])
+    ],
+)
+def test_impossible_calls_are_refused(call, message):
+    with pytest.raises(UserError, match=message):
+        call(twin()[1])
