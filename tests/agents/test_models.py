@@ -1,6 +1,5 @@
 """Models of stable-baselines3 as agents: as they were trained, or with a word about it."""
 
-import inspect
 import shutil
 import zipfile
 
@@ -145,13 +144,11 @@ def stacked(env):
 
 
 def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
-    venv = make_vec_env("MMCReach-v0", 1)
-    models = {
-        "gymnasium": PPO(
-            "MlpPolicy", make_vec_env("MMCReach-v0", 1, wrapper_class=stacked), **TINY
-        ),
-        "sb3": PPO("MlpPolicy", VecFrameStack(venv, 2), **TINY),
+    wrapped = {
+        "gymnasium": make_vec_env("MMCReach-v0", 1, wrapper_class=stacked),
+        "sb3": VecFrameStack(make_vec_env("MMCReach-v0", 1), 2),
     }
+    models = {label: PPO("MlpPolicy", venv, **TINY) for label, venv in wrapped.items()}
     found = compare({**models, "mmc": "mmc"}, episodes=2, wrapper=stacked)
     # Each acts as stable-baselines3 itself lets it.
     seed = int(found.episodes["seed"].iloc[0])
@@ -174,12 +171,8 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
     # By files, and in a benchmark, which notices another wrapper.
     for label, model in models.items():
         model.save(tmp_path / label)
-    source = inspect.getsource(stacked)
-    (tmp_path / "own_stack.py").write_text(
-        f"from gymnasium.wrappers import FlattenObservation, FrameStackObservation\n{source}"
-    )
     monkeypatch.chdir(tmp_path)
-    named = {"wrapper": ["sb3=own_stack:stacked"], "allow_pickle": True}
+    named = {"wrapper": [f"sb3={__name__}:stacked"], "allow_pickle": True}
     control = {"env_kwargs": {"control": "joint_delta"}}
     for reused in (0, 2):
         run = benchmark(["sb3.zip", "mmc"], "store", ["random"], 2, jobs=1, **named, **control)
@@ -195,12 +188,9 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("wrapper", "message"),
     [
-        ("builtins:repr", "wrapper must be a function that returns an environment in its wrappers"),
+        ("builtins:repr", "wrapper must be a function that returns an environment"),
         ("no_module:stack", "wrapper 'no_module:stack' cannot be imported"),
-        (
-            "other=builtins:repr",
-            "the agent of wrapper 'other' is not accepted. It may be PPO or mmc",
-        ),
+        ("other=builtins:repr", "agent of wrapper 'other' .* may be PPO or mmc"),
     ],
 )
 def test_a_wrapper_that_is_none_is_refused(model, wrapper, message):
@@ -221,12 +211,6 @@ def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, e
         observation, _ = env.reset(seed=1)
         expected, _ = one.predict(observation, deterministic=True)
         np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
-
-
-def test_a_model_without_the_statistics_of_its_training_is_refused(folder):
-    (folder / "vec_normalize.pkl").unlink()
-    with pytest.raises(UserError, match="the statistics of its VecNormalize in its folder"):
-        resolve(folder / "model.zip").check()
 
 
 def test_a_folder_with_a_best_model_is_that_model(folder):

@@ -1,4 +1,4 @@
-"""The MMC network, in the plane and in space: its algebra, its rules, and batches."""
+"""The MMC network: its algebra, its rules, batches, and the time base of its movements."""
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.network import LearnedNormalizer, MMCNetwork, MMCState, chain, iteration
 from mmc_gym.network.iteration import linear_operator
 from mmc_gym.network.model import NO_CLAMPS
+from mmc_gym.network.time_base import minimum_jerk, share, timed_step
 
 counts = st.integers(2, 8)
 
@@ -247,7 +248,8 @@ def test_no_other_arm_is_bent_in_numpy_or_torch(kind, iterate):
         np.testing.assert_allclose(found.values, expected.values, atol=1e-12)
 
 
-LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
+LONGER, PAPER = MMCNetwork((1.0,) * 4), MMCNetwork(dynamics="paper")
+DELAYED = MMCNetwork(schedule="delayed")
 
 
 def at_rest(network):
@@ -276,8 +278,58 @@ def at_rest(network):
         (lambda n: n.run(at_rest(n), [1.0, 1.0]), "clamps .* Clamps"),
         (lambda n: DELAYED.run(at_rest(DELAYED), n.clamp({(0, 1): [1, 0]})), "clamps .* 'delayed'"),
         (lambda n: moved(n, random_segments((2, 3)), np.ones((3, 2)), 1), "clamps .* batch axes"),
+        (lambda n: timed_step(DELAYED, at_rest(DELAYED), [1, 1], 0.1), "network .* synchronous"),
+        (lambda n: timed_step(PAPER, at_rest(PAPER), [1, 1], 0.1), "network .* kinematic"),
+        (lambda n: timed_step(n, at_rest(n), [1, 1], 1.5), "share .* between 0 and 1"),
+        (lambda n: share(1, np.inf), "duration .* finite"),
     ],
 )
 def test_an_impossible_network_or_call_is_refused(call, named):
     with pytest.raises(UserError, match=named):
         call(MMCNetwork())
+
+
+NETWORK = MMCNetwork()
+POSTURE = [0.3, 0.6, 0.6]
+START = NETWORK.state_from_joint_angles(POSTURE)
+
+
+@given(duration=st.floats(1, 500))
+def test_taking_each_share_of_what_remains_follows_the_time_base(duration):
+    iterations = np.arange(1, int(np.ceil(duration)) + 1)
+    remaining = np.cumprod(1 - share(iterations, duration))
+    np.testing.assert_allclose(1 - remaining, minimum_jerk(iterations / duration), atol=1e-9)
+
+
+@pytest.mark.parametrize("part", [1e-4, 0.01, 0.1, 0.3])
+def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
+    network = MMCNetwork(normalizer=normalizer)
+    before = network.run(START, iterations=5)
+    target = np.array([-1.0, 1.5])
+    after = timed_step(network, before, target, part)
+    step = np.linalg.norm(after.end_effector - before.end_effector)
+    distance = np.linalg.norm(target - before.end_effector)
+    assert step == pytest.approx(part * distance, rel=1e-3)
+
+
+def test_no_share_is_no_movement_and_the_gain_is_bounded_whatever_the_network_s_own_damping():
+    rest = timed_step(NETWORK, START, [-1.0, 1.5], 0.0)
+    np.testing.assert_allclose(rest.segments, START.segments, atol=1e-15)
+    # With all of the share the damping is (N + 3)/2, the least there is.
+    fastest = timed_step(NETWORK, START, [-1.0, 1.5], 1.0)
+    damped = MMCNetwork(damping=3.0)
+    expected = damped.step(START, damped.inverse([-1.0, 1.5]))
+    np.testing.assert_allclose(fastest.values, expected.values, atol=1e-14)
+    same = timed_step(MMCNetwork(damping=4.0), START, [-1.0, 1.5], 1.0)
+    np.testing.assert_array_equal(same.values, fastest.values)
+
+
+def test_a_hand_that_does_not_get_anywhere_is_no_division_by_next_to_nothing():
+    network = MMCNetwork((2.0, 0.5, 0.5))
+    for angle in (0.0, 1e-160, 1e-20):
+        state = network.state_from_joint_angles([0.0, angle, 0.0])
+        for target in ([-3.0, 0.0], [2.0, 0.0], state.end_effector):
+            with np.errstate(all="raise", under="ignore"):
+                for _ in range(3):
+                    state = timed_step(network, state, target, 1.0)
+            assert np.isfinite(state.values).all()
