@@ -130,9 +130,8 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatc
     def make(env):
         return thing
 
-    assert (resolve(make).label, resolve(make).factory(None)) == ("make", thing)
+    assert (resolve(make).label, resolve(make).source_name) == ("make", "given:make")
     assert (resolve(thing).label, resolve(thing).factory(None)) == ("SimpleNamespace", thing)
-    assert resolve(make).source_name == "given:make"
     monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
     for source in ("of_a_prompt:make", "no_such_package.module:make"):
         assert resolve(source).fingerprint == ""  # no file is known
