@@ -144,13 +144,20 @@ def test_the_accurate_normalizer_gives_the_length(low, high, allowed):
     assert np.abs(np.linalg.norm(result, axis=-1) - 1).max() < allowed
 
 
-ODD_LAYERS = [(np.ones((3, 2)), np.zeros(3)), (np.full((2, 2), np.nan), np.zeros(2))]
-
-
-@pytest.mark.parametrize(("weight", "bias"), [(np.eye(2), None), *ODD_LAYERS])
-def test_a_file_without_a_normalizer_is_refused_by_name(tmp_path, weight, bias):
-    layer = {"layers.0.weight": weight, "layers.0.bias": bias}
-    whole = safetensors.numpy.save({k: part for k, part in layer.items() if part is not None})
-    (tmp_path / "broken.safetensors").write_bytes(whole)
+@pytest.mark.parametrize(
+    ("weight", "bias", "message"),
+    [
+        (np.eye(2), np.eye(2), "layers must"),
+        (np.ones((2, 3)), np.zeros(2), "from 2 inputs"),
+        (np.ones((3, 2)), np.zeros(3), "to 2 outputs"),
+        (np.full((2, 2), np.nan), np.zeros(2), "finite"),
+    ],
+)
+def test_what_is_no_normalizer_is_refused_and_so_is_a_file_of_something_else(
+    tmp_path, weight, bias, message
+):
+    with pytest.raises(UserError, match=message):
+        LearnedNormalizer([weight], [bias])
+    safetensors.numpy.save_file({"weight": weight}, tmp_path / "broken.safetensors")
     with pytest.raises(UserError, match=r"broken\.safetensors does not hold a normalizer"):
         LearnedNormalizer.load(tmp_path / "broken.safetensors")
