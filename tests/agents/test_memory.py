@@ -105,12 +105,6 @@ def test_larger_errors_teach_no_more_than_the_largest_that_counts(most):
     np.testing.assert_allclose(ends, [-0.1 * most * np.arange(1, 6)] * 2, atol=0.5)
 
 
-def test_by_default_nothing_is_kept():
-    agent = mmc_body(ReachInterface((1.0, 1.0), "joint_delta", 6.0, 12.0, 0.02))
-    _, state = agent.predict(np.zeros(12, np.float32))
-    assert not agent.learns and agent.between_trials(state) is None
-
-
 @pytest.mark.parametrize(
     ("settings", "argument"),
     [
@@ -121,8 +115,10 @@ def test_by_default_nothing_is_kept():
         ({"retention": (0.5, 0.9)}, "retention"),
         ({"width": 0.0}, "width"),
         ({"largest_error": 0.0}, "largest_error"),
+        ({"vigour": 1.5}, "vigour"),
+        ({"find_locks": True}, ".* did you mean 'finds_locks'"),
     ],
 )
-def test_settings_of_learning_are_checked(settings, argument):
-    with pytest.raises(UserError, match=f"^{argument} must be"):
+def test_parts_are_checked(settings, argument):
+    with pytest.raises(UserError, match=f"^{argument}"):
         Parts(**settings)
