@@ -4,6 +4,7 @@ import copy
 import multiprocessing
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -139,34 +140,32 @@ def test_angles_are_as_the_mathematical_library_has_them():
     np.testing.assert_allclose(arms.end_effectors, expected, atol=3e-16)
 
 
-def test_impossible_batches_are_refused(engine):
-    for name, value in (("count", 0), ("count", 1.5), ("threads", 0)):
-        with pytest.raises(UserError, match=f"{name} must be a whole number of at least 1, got"):
-            make_arms(engine, ArmParameters(), **{"count": 2, "servo": "position", name: value})
-    with pytest.raises(UserError, match=r'obstacles must be empty .*engine="pymunk".* got \(\(1'):
-        AnalyticArmBatch(ArmParameters(obstacles=((1.0, 1.0, 0.1),)))
+LOADED = ArmParameters(hand_mass=1.0)
+AMONG_OBSTACLES = ArmParameters(obstacles=((1.0, 1.0, 0.1),))
+INDICES = "arms must be different indices from 0 to 3"
+ODD_ROWS = [[4], [-1], [0, 0], [0.5], [True, False], [[0]]]
 
 
 @pytest.mark.parametrize(
-    "call",
+    ("call", "message"),
     [
-        lambda arms: arms.command(np.zeros(3)),
-        lambda arms: arms.reset(np.zeros((4, 3)), [0, 1]),
-        lambda arms: arms.reset(np.zeros((4, 3)), joint_velocities=np.zeros(3)),
+        (lambda make: make(0), "count must be a whole number of at least 1, got 0"),
+        (lambda make: make(2, "position", 0), "threads must be a whole number of at least 1"),
+        (lambda make: make(4, "hydraulic"), "servo 'hydraulic'"),
+        (lambda make: make_arms("bullet"), "engine 'bullet'"),
+        (lambda make: make_arm("bullet"), "engine 'bullet'"),
+        (lambda make: make(4).command(np.zeros(3)), r"shape \(4, 3\)"),
+        (lambda make: make(4).reset(np.zeros((4, 3)), [0, 1]), r"shape \(2, 3\)"),
+        (lambda make: make(4).reset(np.zeros((4, 3)), None, np.zeros(3)), r"shape \(4, 3\)"),
+        *((lambda make, rows=rows: make(4).lock(rows), INDICES) for rows in ODD_ROWS),
+        (lambda make: make(4).reset(np.zeros((1, 3)), [4]), INDICES),
+        (lambda make: make(1).reset([[0.0] * 3], parameters=LOADED), "parameters must be left out"),
+        (lambda make: AnalyticArmBatch(AMONG_OBSTACLES), "obstacles must be empty"),
     ],
 )
-def test_arrays_of_another_shape_are_refused(engine, call):
-    with pytest.raises(UserError, match=r"must be of shape \([42], 3\)"):
-        call(make_arms(engine, ArmParameters(), 4))
-
-
-@pytest.mark.parametrize("rows", [[4], [-1], [0, 0], [0.5], [True, False], [[0]]])
-def test_unknown_arms_are_refused(engine, rows):
-    arms = make_arms(engine, ArmParameters(), 4)
-    for act in (lambda: arms.reset(np.zeros((len(rows), 3)), rows), lambda: arms.lock(rows)):
-        with pytest.raises(UserError, match="arms must be different indices from 0 to 3"):
-            act()
-    arms.reset(np.zeros((0, 3)), [])
+def test_impossible_batches_and_calls_are_refused(engine, call, message):
+    with pytest.raises(UserError, match=message):
+        call(partial(make_arms, engine, ArmParameters()))
 
 
 CURL = np.array([[[0.0], [1.0]], [[-1.0], [0.0]]])
@@ -221,8 +220,3 @@ def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made
 def tuples(values):
     """Return nested tuples of the arrays along the last axis."""
     return values if values.ndim == 1 else tuple(map(tuples, values))
-
-
-def test_arms_differ_only_if_they_may():
-    with pytest.raises(UserError, match="parameters must be left out for arms without others"):
-        make_arms("pymunk").reset([[0.0] * 3], parameters=ArmParameters(hand_mass=1.0))
