@@ -17,8 +17,7 @@ from torch import Tensor
 
 from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.network import chain
-from mmc_gym.network.chain import Pair
-from mmc_gym.network.iteration import held_rows, linear_operator
+from mmc_gym.network.chain import Pair, held_rows, linear_operator
 from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
 
@@ -200,7 +199,6 @@ class TorchNetwork(torch.nn.Module):
         return TorchState(flat.view_as(values), self.segment_count)
 
     def _normalized(self, values: Tensor, is_held: Tensor) -> Tensor:
-        """Return values (rows, 2, batch) with those segments normalized that are not held."""
         start = len(self.triangles) if self.schedule == "delayed" else 0
         end = start + self.segment_count
         segments = values[start:end]
@@ -209,7 +207,7 @@ class TorchNetwork(torch.nn.Module):
         return torch.cat([values[:start], normalized, values[end:]])
 
     def _bend_where_stuck(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
-        """Return states (rows, 2, ...), bent where they could never leave the line they lie in."""
+        """Do as `MMCNetwork` does, but without waiting for values on the host."""
         count, hand = self.segment_count, len(self.triangles) - 1
         if hand not in held:
             return values
@@ -219,7 +217,7 @@ class TorchNetwork(torch.nn.Module):
             others = torch.cat([segments[1:], torch.stack(list(held.values()))])
             across = (segments[0, 0] * others[:, 1] - segments[0, 1] * others[:, 0]).abs()
             is_in_line = (across <= _STRAIGHT * eps * lengths[0] * reach).all(0)
-            # As `nearest_reachable`, but without waiting for values on the host.
+            # The nearest reachable point.
             inner = (2 * lengths.max() - reach).clamp(min=0.0)
             radius = torch.hypot(*target).clamp(inner, reach)
             bearing = torch.atan2(target[1], target[0])
@@ -230,7 +228,6 @@ class TorchNetwork(torch.nn.Module):
         return torch.where(is_stuck, self.state_from_joint_angles(bent).values, values)
 
     def _tensor(self, name: str, value: Any, trailing: tuple[int, ...]) -> Tensor:
-        """Return the value as a tensor of this module's whose last axes are `trailing`."""
         try:
             tensor = torch.as_tensor(value, dtype=self.damping.dtype, device=self.damping.device)
         except (TypeError, ValueError, RuntimeError) as error:

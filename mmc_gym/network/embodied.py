@@ -35,8 +35,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.geometry import Floats
-from mmc_gym.network.chain import triangle_products
-from mmc_gym.network.iteration import cached_iteration, velocity_rule
+from mmc_gym.network.chain import cached_iteration, triangle_products, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import Normalizer
 
@@ -143,7 +142,6 @@ class _RigidBodies(NamedTuple):
     def of(
         cls, body: Embodiment, lengths: Floats, batch: tuple[int, ...], dtype: np.dtype[Any]
     ) -> _RigidBodies | None:
-        """Return the bodies, or None if no joint is locked."""
         if body.locked is None or not body.locked.any():
             return None
         locked = _batch_last(body.locked, batch, dtype) > 0

@@ -50,8 +50,7 @@ from mmc_gym.geometry import (
     segments_from_joint_angles,
 )
 from mmc_gym.network import chain
-from mmc_gym.network.chain import Pair
-from mmc_gym.network.iteration import cached_iteration, held_rows
+from mmc_gym.network.chain import Pair, cached_iteration, held_rows
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 
 if TYPE_CHECKING:  # numpy is all that the network needs
@@ -172,7 +171,12 @@ class MMCNetwork:
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"
-        lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_lengths)
+        lengths = require_numbers(
+            "segment_lengths",
+            self.segment_lengths,
+            accepted,
+            lambda numbers: len(numbers) >= 2 and all(0 < one < np.inf for one in numbers),
+        )
         object.__setattr__(self, "segment_lengths", lengths)
         half = (len(lengths) + 1) / 2
         accepted = f"finite, and more than (N + 1) / 2 = {half:g}, below which networks diverge"
@@ -327,15 +331,12 @@ class MMCNetwork:
         return count * (count + 1) // 2 + count * blocks
 
     def _bend_where_stuck(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
-        """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
-
-        Only states with a new target are examined.
-        """
+        """Return states (rows, 2, ...), bent where they could never leave the line they lie in."""
         count, hand = self.segment_count, self._hand_row
         if hand not in rows:
             return values
         target = clamped[rows.index(hand)]
-        if target.tobytes() == values[hand].tobytes():
+        if target.tobytes() == values[hand].tobytes():  # the target is not new
             return values
         lengths, first = self.segment_lengths, values[0]
         least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
@@ -351,7 +352,6 @@ class MMCNetwork:
 
 
 def _are_in_line(first: Floats, others: Floats, least: float) -> NDArray[np.bool_]:
-    """Return whether vectors (n, 2, ...) are in one line with the first (2, ...)."""
     across = np.abs(first[0] * others[:, 1] - first[1] * others[:, 0])
     in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
     return in_line
@@ -362,7 +362,3 @@ def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     rows, axes, *own = values.shape
     missing = (1,) * (len(batch) - len(own))
     return np.broadcast_to(values.reshape(rows, axes, *missing, *own), (rows, axes, *batch))
-
-
-def _are_lengths(numbers: tuple[float, ...]) -> bool:
-    return len(numbers) >= 2 and all(0 < number < np.inf for number in numbers)

@@ -27,12 +27,9 @@ the factor of g stays the same.  g is at most 2/(2 + (N + 1)), which damps the s
 of eigenvalue 2, and the fast ones, N + 1, equally well.  If this is too little, as with a folded or
 stretched arm, the hand arrives late.  The network's own damping has no effect.
 
-Literature: T. Flash, N. Hogan (1985), J. Neurosci. 5, 1688–1703.  M. Zak (1988), Terminal
-attractors for addressable memory in neural networks, Phys. Lett. A 133, 18–22.  P. Morasso,
-V. Sanguineti, G. Spada (1997), A computational theory of targeting movements based on force
-fields and topology representing networks, Neurocomputing 15, 411–434.  T. Tsuji et al. (2002),
-Bio-mimetic trajectory generation of robots via artificial potential field with time base
-generator, IEEE Trans. Syst. Man Cybern. C 32, 426–439.
+Literature: Flash & Hogan (1985), J. Neurosci. 5, 1688–1703.  Zak (1988), Phys. Lett. A 133, 18–22.
+Morasso, Sanguineti & Spada (1997), Neurocomputing 15, 411–434.  Tsuji et al. (2002), IEEE Trans.
+Syst. Man Cybern. C 32, 426–439.
 """
 
 from __future__ import annotations
@@ -94,7 +91,8 @@ def timed_step(
     >>> state.end_effector.round(2).tolist()
     [-0.98, 1.5]
     """
-    _check(network)
+    fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
+    require(fine, "network", network, "kinematic and synchronous to follow a time base")
     state = network.hold(state, network.inverse(target))
     count, batch = network.segment_count, state.batch_shape
     values = state.values.reshape(len(state.values), 2, -1)
@@ -155,8 +153,3 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
     coupling = triangle_products(segment_count)
     coupling[-1] = 0.0
     return coupling
-
-
-def _check(network: MMCNetwork) -> None:
-    fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
-    require(fine, "network", network, "kinematic and synchronous to follow a time base")

@@ -184,7 +184,11 @@ class HingeNetwork:
         places = {node: _floats("points", point, (3,)) for node, point in points.items()}
         if position is not None:
             places[arm.node_count - 1] = _floats("position", position, (3,))
-        turn = np.zeros((3, 3)) if rotation is None else self._turn_to(rotation)
+        turn = np.zeros((3, 3))  # of the whole arm in its zero posture
+        if rotation is not None:
+            wanted = _floats("rotation", rotation, (3, 3))
+            require_rotations("rotation", wanted)
+            turn = wanted @ arm.home[:3, :3].T
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
@@ -193,9 +197,8 @@ class HingeNetwork:
         tasks["wanted"] = turn
         for (joint, angle), given in zip(angles.items(), held.values()):
             low, high = arm.limits[joint]
-            accepted = (
-                f"within the limits of {arm.joint_names[joint]!r}, {low:.4g} to {high:.4g} rad"
-            )
+            name = arm.joint_names[joint]
+            accepted = f"within the limits of {name!r}, {low:.4g} to {high:.4g} rad"
             require(bool((angle == angle.clip(low, high)).all()), "held", given, accepted)
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
@@ -204,12 +207,6 @@ class HingeNetwork:
         is_placed[list(places)] = True
         free = max(1, arm.joint_count - len(held))
         return HingeClamps(tasks, is_placed, rotation is not None, free)
-
-    def _turn_to(self, rotation: ArrayLike) -> Floats:
-        """Return by how much the arm in its zero posture would have to turn as a whole."""
-        wanted = _floats("rotation", rotation, (3, 3))
-        require_rotations("rotation", wanted)
-        return wanted @ self.arm.home[:3, :3].T
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -220,9 +217,8 @@ class HingeNetwork:
         batch = _together("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
         tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
         count = -(-len(tasks) // LANES)
-        rows = np.resize(
-            np.arange(len(tasks)), (count, LANES)
-        )  # the first ones fill the last block
+        # The first ones fill the last block.
+        rows = np.resize(np.arange(len(tasks)), (count, LANES))
         blocks = self._blocks(tasks[rows])
 
         def in_lanes(values: Floats) -> Floats:
@@ -373,7 +369,6 @@ class HingeNetwork:
         return blocks
 
     def _settle(self, blocks: NDArray[Any], course: Course) -> None:
-        """Iterate blocks in place."""
         from mmc_gym.robots.iteration import settle
 
         settle(blocks, self._zero_posture, course)

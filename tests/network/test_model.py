@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.geometry import segments_from_joint_angles
-from mmc_gym.network import LearnedNormalizer, MMCNetwork, MMCState, chain, iteration
-from mmc_gym.network.iteration import linear_operator
+from mmc_gym.network import LearnedNormalizer, MMCNetwork, MMCState, chain
+from mmc_gym.network.chain import linear_operator
 from mmc_gym.network.model import NO_CLAMPS
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step
 
@@ -35,7 +35,7 @@ def moved(network, segments, target, iterations):
 
 
 def written_out(network, segments, clamped, iterations):
-    """The equations of the paper as loops over nodes; returns the segments of each iteration.
+    """The equations of the paper as loops over nodes; returns the segments of each chain.
 
     `clamped` maps node pairs to vectors.  Independent of the package but for the normalizer.
     """
@@ -166,7 +166,7 @@ def test_batches_have_any_axes_and_broadcast():
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
 def test_an_arm_has_the_same_bits_in_any_batch(count, normalizer):
     network = MMCNetwork((1.0,) * count, normalizer=normalizer, dynamics="paper")
-    size = 2 * iteration._BLOCK + 3
+    size = 2 * chain._BLOCK + 3
     segments, targets = random_segments((size, count)), random_targets(size)
     values = moved(network, segments, targets, 5).values
     for part in (slice(1), slice(2), slice(3), slice(13), slice(-7, None)):
