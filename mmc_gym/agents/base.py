@@ -36,8 +36,7 @@ if TYPE_CHECKING:  # `import mmc_gym` loads no physics
 
 State = TypeVar("State")
 Started = Sequence[bool] | NDArray[np.bool_] | None
-Layouts = dict[tuple[int, ...], Any]
-"""The layout of an agent's states, by their batch axes."""
+Layouts = dict[tuple[int, ...], Any]  # the layout of an agent's states, by their batch axes
 
 
 class Predictor(Protocol):
@@ -178,11 +177,7 @@ def resumed(
     episode_start: Started,
     layouts: Layouts,
 ) -> State:
-    """Return the state to resume from: made anew by `start` where an episode starts.
-
-    It must come from this agent and as many arms, and `episode_start` have the observations' batch
-    axes.
-    """
+    """Return the state to resume from: made anew by `start` where an episode starts."""
     if state is None:
         return start()
     if batch not in layouts:
@@ -210,16 +205,15 @@ def check_no_state(state: object) -> None:
     require(state is None, "state", state, accepted)
 
 
-# A state is an array with the batch in front, a network's state, or a named tuple of such.
+# A state is an array with the batch in front, a network's state, or a named tuple of such.  Its
+# layout is its type, and the shape of the first array in each of its fields.
 
 
 def _layout_of(state: Any) -> list[Any]:
-    """Return the type of a state, and the shape of the first array in each of its fields."""
     return [type(state), *map(_first_shape, state if isinstance(state, tuple) else (state,))]
 
 
 def _first_shape(state: Any) -> tuple[int, ...] | None:
-    """Return the shape of the first array in a state; None if there is none."""
     while isinstance(state, tuple) and state:
         state = state[0]
     array = state.values if isinstance(state, MMCState) else state
@@ -227,7 +221,6 @@ def _first_shape(state: Any) -> tuple[int, ...] | None:
 
 
 def _described(state: Any) -> str:
-    """Return the type of a state, and the shape of its first array."""
     shape = _first_shape(state)
     return repr(state) if shape is None else f"{type(state).__name__} of shape {shape}"
 
@@ -308,7 +301,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
     """Warn with a `MismatchWarning` if an agent was trained with another arm than that of `env`.
 
     Engines do not matter, because they simulate the same arm.  Perturbations do not count, because
-    they are intended.  If either arm is unknown, there is no warning.
+    they are intended.
     """
     here = read_attribute(env, "unperturbed")
     if trained is None or here is None:

@@ -10,11 +10,9 @@ With J, the derivative of the hand's position by the joint angles q, an iteratio
 
 `max_step` and `damping` (λ) are in segment lengths.
 
-Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
-prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.  C. W. Wampler (1986), IEEE Trans. Syst. Man
-Cybern. 16, 93–101, and Y. Nakamura, H. Hanafusa (1986), J. Dyn. Syst. Meas. Control 108, 163–171
-(damping).  S. R. Buss, J.-S. Kim (2005), Selectively damped least squares for inverse kinematics,
-J. Graphics Tools 10(3), 37–49 (shortened error).
+Literature: Whitney (1969), IEEE Trans. Man-Machine Systems 10, 47–53.  Wampler (1986), IEEE Trans.
+Syst. Man Cybern. 16, 93–101, and Nakamura & Hanafusa (1986), J. Dyn. Syst. Meas. Control 108,
+163–171 (damping).  Buss & Kim (2005), J. Graphics Tools 10(3), 37–49 (shortened error).
 """
 
 from __future__ import annotations
@@ -82,10 +80,7 @@ def iterate(
 
 
 def jacobian(joint_angles: Floats, segment_lengths: SegmentLengths) -> tuple[Floats, Floats]:
-    """Return the hand (..., 2), and J, its derivatives by the joint angles, (..., 2, N).
-
-    A joint turns the hand about itself: column i of J is (hand − p_i) turned by 90°.
-    """
+    """Return the hand (..., 2), and J (..., 2, N): column i is (hand − p_i) turned by 90°."""
     nodes = node_positions(segments_from_joint_angles(joint_angles, segment_lengths))
     hand = nodes[..., -1, :]
     arm = hand[..., None, :] - nodes[..., :-1, :]

@@ -82,11 +82,8 @@ def run_within_limits(
 
     A joint limit acts like a sensed posture (`network.embodied`).  For an arm with a joint beyond a
     limit, the nearest posture within the limits is one more computation in the mean, of weight
-    N + 1.  So the other joints take over what that joint cannot do.
-
-    Of 200 random targets under limits of ±3, ±2, ±2 the network reaches 80 % in this way.  It
-    reaches 64 % if only the servos stop at the limits, and 53 % if it is set to the posture in
-    which its joints stopped.  The other targets need a detour, which it does not look for.
+    N + 1.  So the other joints take over what that joint cannot do.  Some targets need a detour,
+    which the network does not look for.
     """
     weight = network.segment_count + 1.0
     for _ in range(iterations):
@@ -102,14 +99,10 @@ def run_within_limits(
 
 
 def bend_where_stuck(network: MMCNetwork, state: MMCState, clamps: Clamps) -> MMCState:
-    """Return the state, with those arms bent a little that could not move to their targets.
-
-    See `leave_line`.  The `clamps` hold the end effector alone.  They are first compared with the
-    last ones, because arms are only stuck at a new target.
-    """
-    (hand_row,) = clamps.rows
+    """Return the state with arms bent that could not move to their targets, see `leave_line`."""
+    (hand_row,) = clamps.rows  # the end effector alone
     (hand,) = clamps.values  # (2, ...)
-    if hand.tobytes() == state.values[hand_row].tobytes():
+    if hand.tobytes() == state.values[hand_row].tobytes():  # arms are only stuck at a new target
         return state
     joint_angles, lengths = state.joint_angles, network.segment_lengths
     bent = leave_line(joint_angles, nearest_reachable(np.moveaxis(hand, 0, -1), lengths), lengths)

@@ -122,10 +122,7 @@ def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
 
 
 def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
-    """Return L (steps, ..., 3) of the longest reach, from its last step backwards.
-
-    `value` is the cost to go at its end, S (..., 3, 3).
-    """
+    """Return L (steps, ..., 3) of the longest reach, backwards from S (..., 3, 3) at its end."""
     a, b = plant(assumed, step)
     found = []
     for _ in range(round(assumed.longest / step)):

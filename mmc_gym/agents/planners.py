@@ -20,10 +20,8 @@ the present position, velocity and acceleration to rest at g in the rest of T.  
 follows that quintic.  A target that has moved is simply another g, to which the movement turns
 smoothly.  The posture follows by damped least squares.
 
-Literature: T. Flash, N. Hogan (1985), The coordination of arm movements: an experimentally
-confirmed mathematical model, J. Neurosci. 5, 1688–1703.  B. Hoff, M. A. Arbib (1993), Models of
-trajectory formation and temporal interaction of reach and grasp, J. Motor Behavior 25, 175–192
-(the rest of the movement from the present state).
+Literature: Flash & Hogan (1985), J. Neurosci. 5, 1688–1703.  Hoff & Arbib (1993), J. Motor Behavior
+25, 175–192 (the rest of the movement from the present state).
 """
 
 from __future__ import annotations

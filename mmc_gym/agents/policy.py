@@ -32,13 +32,7 @@ from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent, Layouts, Started, check_no_state, resumed
 from mmc_gym.agents.mmc import dynamic_mmc
-from mmc_gym.agents.policy_network import (
-    Activation,
-    Distribution,
-    Float32,
-    History,
-    PolicyNetwork,
-)
+from mmc_gym.agents.policy_network import Activation, Distribution, Float32, History, PolicyNetwork
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
 
@@ -149,7 +143,6 @@ def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
 
 
 def _digest(entries: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a card's entries, as JSON that does not depend on their order."""
     return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
 
@@ -196,9 +189,8 @@ class PolicyAgent(Agent[Any]):
         """
         layout, count = interface.layout, len(interface.segment_lengths)
         if card.segment_count != count:
-            raise CannotActError(
-                f"env must have {card.segment_count} segments for this policy, got {count}"
-            )
+            accepted = f"{card.segment_count} segments for this policy"
+            raise CannotActError(f"env must have {accepted}, got {count}")
         if card.context and not layout.context_size:
             raise CannotActError(
                 f"env must show the context as in the training of {card.file_stem}: make it with "
@@ -270,7 +262,6 @@ class PolicyAgent(Agent[Any]):
         return action, state
 
     def _as_positions(self, action: Float32, observation: Observation) -> Float32:
-        """Return joint positions in place of joint deltas."""
         sensed = self._interface.sense(observation)
         now = sensed.joint_angles
         ahead = now + self._interface.max_joint_delta * action

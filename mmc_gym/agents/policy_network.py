@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +41,12 @@ _SEEN = ("mean", "deviation", "clip")
 _LOG_STD_RANGE = (-20.0, 2.0)  # stable-baselines3's, where the spread is an output
 
 
-class _Layer(NamedTuple):
-    """A linear layer; its weight is as for `x @ weight`, in columns.
+def _layer(name: str, tensors: Tensors) -> tuple[Float32, Float32]:
+    """Return a linear layer's weight (in, out), in columns, as for `x @ weight`, and bias (out,).
 
     So one row of features takes one pass over contiguous memory.
     """
-
-    weight: Float32  #: (in, out)
-    bias: Float32  #: (out,)
-
-    @classmethod
-    def named(cls, name: str, tensors: Tensors) -> _Layer:
-        return cls(np.asfortranarray(tensors[f"{name}.weight"].T), tensors[f"{name}.bias"])
+    return np.asfortranarray(tensors[f"{name}.weight"].T), tensors[f"{name}.bias"]
 
 
 class PolicyNetwork:
@@ -76,10 +70,10 @@ class PolicyNetwork:
         self.memory_units = len(tensors["lstm.bias"]) // 4 if "lstm.bias" in tensors else 0
         first = "lstm.weight_ih" if self.memory_units else "hidden.0.weight"
         try:
-            self._hidden = [_Layer.named(f"hidden.{layer}", tensors) for layer in range(depth)]
-            self._mean = _Layer.named("mean", tensors)
+            self._hidden = [_layer(f"hidden.{layer}", tensors) for layer in range(depth)]
+            self._mean = _layer("mean", tensors)
             is_constant = "log_std" in tensors
-            self._log_std = None if is_constant else _Layer.named("log_std", tensors)
+            self._log_std = None if is_constant else _layer("log_std", tensors)
             actions = tensors["mean.bias"].shape
             if is_constant and tensors["log_std"].shape != actions:  # as with use_sde
                 found = tensors["log_std"].shape
@@ -99,9 +93,9 @@ class PolicyNetwork:
     def act_from(
         self, memory: Float32, features: Float32, random: np.random.Generator | None = None
     ) -> tuple[Float32, Float32]:
-        """Return what `act` does for a network with an LSTM, and its memory after that.
+        """Return what `act` does for a network with an LSTM, and its output and cell after that.
 
-        The memory is the LSTM's output and cell, (..., 2, units), zeros at the start.
+        They are the memory, (..., 2, units), zeros at the start.
         """
         output, cell = memory[..., :1, :], memory[..., 1:, :]
         gates = self._normalized(features)[..., None, :] @ self.tensors["lstm.weight_ih"].T
@@ -131,16 +125,14 @@ class PolicyNetwork:
         action: Float32 = (hidden @ weight)[..., 0, :] + bias
         if random is not None:
             noise = random.standard_normal(action.shape, np.float32)
-            spread: Float32 = np.exp(self._log_spread(hidden))
-            action = action + spread * noise
+            if self._log_std is None:
+                spread = np.exp(self.tensors["log_std"])
+            else:
+                weight, bias = self._log_std
+                log_spread = np.clip((hidden @ weight)[..., 0, :] + bias, *_LOG_STD_RANGE)
+                spread = np.exp(log_spread)
+            action += spread * noise
         return np.tanh(action) if self.distribution == "squashed" else action.clip(-1.0, 1.0)
-
-    def _log_spread(self, hidden: Float32) -> Float32:
-        """Return log σ of actions, (..., action_size) or (action_size,)."""
-        if self._log_std is None:
-            return self.tensors["log_std"]
-        weight, bias = self._log_std
-        return np.clip((hidden @ weight)[..., 0, :] + bias, *_LOG_STD_RANGE)
 
 
 def _sigmoid(x: Float32) -> Float32:
@@ -170,11 +162,6 @@ class History:
         return len(self.blocks) * self._width
 
     @property
-    def steps(self) -> int:
-        """Number of steps that are remembered."""
-        return sum(self.blocks)
-
-    @property
     def _width(self) -> int:
         return 2 * self.layout.joint_count + 4
 
@@ -185,7 +172,7 @@ class History:
     def start(self, observation: Observation) -> Float32:
         """Return the memory before an episode's first observation, (..., steps, 2 N + 4)."""
         now = self.observed(observation)
-        memory = np.zeros((*now.shape[:-1], self.steps, self._width), np.float32)
+        memory = np.zeros((*now.shape[:-1], sum(self.blocks), self._width), np.float32)
         memory[..., : now.shape[-1]] = now[..., None, :]
         return memory
 

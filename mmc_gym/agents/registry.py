@@ -47,11 +47,8 @@ def learned_knowledge(
 ) -> Knowledge:
     """Return what a trained policy is given and senses.
 
-    Args:
-        base_agent: the agent whose actions it corrects; empty without one.
-        kind: "yours" for one that does not ship with the package.
-        memory: number of the last steps that it remembers.
-        context: whether it is given what was drawn for the episode.
+    It may correct the actions of a base agent, remember its last steps (`memory`), and be given
+    what was drawn for the episode (`context`).
     """
     senses = "posture, joint speeds, target, and offset from hand to target, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""

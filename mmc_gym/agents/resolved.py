@@ -227,7 +227,6 @@ def _no_arm(env: object) -> Predictor:
 
 
 def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
-    """Make the agent of a policy; warn of an arm that differs from the one on its card."""
     from mmc_gym.agents.policy import PolicyAgent, load_policy
 
     require_plain(env)
@@ -243,31 +242,24 @@ def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
 
 
 def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
-    """Make the agent of a function, a class or an object for an environment."""
-    is_agent = hasattr(given, "predict") and not isinstance(given, type)
-    return _acting(given, env) if is_agent else _made_by_call(given, label, env)
-
-
-def _acting(agent: Any, env: gym.Env[Any, Any]) -> Predictor:
-    return agent.acting_in(env) if isinstance(agent, ModelAgent) else with_whole_signature(agent)
-
-
-def _made_by_call(function: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
-    """Call a function or class with the environment; or else it is a function of observations."""
-    _check_takes_env(function, label)
-    agent, failure = None, None
-    try:
-        agent = as_agent(function(env))
-    except CannotActError:
-        raise
-    except Exception as error:  # it may be a function of observations
-        failure = error
+    """Make the agent of an object, of a function or class of environments, or of observations."""
+    agent, failure = given, cast("Exception | None", None)
+    if isinstance(given, type) or not hasattr(given, "predict"):
+        _check_takes_env(given, label)
+        try:
+            agent = as_agent(given(env))
+        except CannotActError:
+            raise
+        except Exception as error:  # it may be a function of observations
+            agent, failure = None, error
+    if isinstance(agent, ModelAgent):
+        return agent.acting_in(env)
     if hasattr(agent, "predict"):
-        return _acting(agent, env)
-    if isinstance(function, type):
+        return with_whole_signature(agent)
+    if isinstance(given, type):
         raise failure or UserError(f"agent {label!r} must be a class with predict, got {agent!r}")
-    if not (why := why_no_action(function, env)):
-        return function_agent(function)
+    if not (why := why_no_action(given, env)):
+        return function_agent(given)
     seen = f"returned {agent!r}" if failure is None else raised(failure)
     if failure is not None and why == seen:  # its own mistake, whatever it is called with
         raise failure
@@ -278,7 +270,6 @@ def _made_by_call(function: Any, label: str, env: gym.Env[Any, Any]) -> Predicto
 
 
 def _check_takes_env(given: Any, label: str) -> None:
-    """Raise a `UserError` for a function or class that cannot be called with an environment."""
     is_agent = not isinstance(given, type) or hasattr(given, "predict")
     require(is_agent, f"agent {label!r}", given, "a class with predict")
     if error := refusal(given, None):
@@ -342,24 +333,18 @@ def with_whole_signature(agent: Any) -> Predictor:
 
 def _digest_of(thing: Any) -> str:
     """Return the SHA-256 of the file of "module:function", or of the pickle of an object."""
-    return _digest_of_module(thing) if isinstance(thing, str) else _digest_of_pickle(thing)
-
-
-def _digest_of_module(source: str) -> str:
+    if not isinstance(thing, str):
+        try:
+            return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()
+        except Exception:  # it cannot be pickled; a worker raises the same error
+            return ""
     look_here()
     try:
-        spec = find_spec(source.partition(":")[0])
+        spec = find_spec(thing.partition(":")[0])
     except (ImportError, ValueError):  # no such package, or __main__, which has no spec
         spec = None
     file = Path(spec.origin) if spec is not None and spec.origin else Path()
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
-
-
-def _digest_of_pickle(thing: Any) -> str:
-    try:
-        return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()
-    except Exception:  # it cannot be pickled; a worker raises the same error
-        return ""
 
 
 @cache

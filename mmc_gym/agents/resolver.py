@@ -52,8 +52,7 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
         agent: a name or path as above, a model of stable-baselines3, or another object with
             `predict`.  Or a function or class: called with the environment it returns such an
             object, or else called with an observation it returns an action.  "ppo" is its training
-            of seed 0.  Modules are found
-            in the working directory, too.
+            of seed 0.  Modules are found in the working directory, too.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
 
@@ -114,7 +113,6 @@ def resolve_all(
 
 
 def _with_wrappers(agents: list[ResolvedAgent], given: Wrappers) -> list[ResolvedAgent]:
-    """Return the agents with their wrappers; refuse one that no agent is there for."""
     if isinstance(given, Mapping):
         wrappers = dict(given)
     else:
@@ -135,7 +133,7 @@ def _with_wrappers(agents: list[ResolvedAgent], given: Wrappers) -> list[Resolve
 def _trainings(
     sources: Sequence[AgentLike], label: str, allow_pickle: bool, every_training: bool
 ) -> list[ResolvedAgent]:
-    """Return the trainings of one agent, by their own seeds if all differ, or else counted."""
+    """Return the trainings of one agent, counted unless their own seeds all differ."""
     if not sources:
         raise UserError(f"agents must be given with at least one training, got none of {label!r}")
     found = []
@@ -167,7 +165,6 @@ def _labelled(text: str) -> tuple[str, str]:
 
 
 def _check_label(label: object) -> None:
-    """Raise a `UserError` unless it is a label that a file's name can hold."""
     accepted = f"a text of at most {_LONGEST_LABEL} characters"
     fine = isinstance(label, str) and len(label.encode(errors="replace")) <= _LONGEST_LABEL
     require(fine, "the label of an agent", label, accepted)

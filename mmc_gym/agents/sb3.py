@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -32,20 +32,8 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError
-from mmc_gym.agents.base import (
-    Agent,
-    Started,
-    changes_contract,
-    warn_of_another_arm,
-    wrappers_of,
-)
-from mmc_gym.interface import (
-    CannotActError,
-    Control,
-    ControlError,
-    Observation,
-    read_attribute,
-)
+from mmc_gym.agents.base import Agent, Started, changes_contract, warn_of_another_arm, wrappers_of
+from mmc_gym.interface import CannotActError, Control, ControlError, Observation, read_attribute
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
@@ -210,12 +198,9 @@ def as_agent(thing: Any) -> Any:
 
 
 def _changing_wrappers(env: Any) -> tuple[str, ...]:
-    """Name the wrappers that change observations or actions.
-
-    `VecNormalize` is not among them: a model has its statistics with it.
-    """
+    """Name the wrappers that change observations or actions."""
     names = (type(one).__name__ for one in wrappers_of(env) if changes_contract(one))
-    return tuple(name for name in names if name != "VecNormalize")
+    return tuple(name for name in names if name != "VecNormalize")  # a model has its statistics
 
 
 @dataclass(frozen=True)
@@ -224,7 +209,6 @@ class SavedModel:
 
     path: Path  #: of the file
     allow_pickle: bool = False  #: whether its pickles may be loaded
-    control: ClassVar[Control | None] = None  #: no entry of the file says it
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:

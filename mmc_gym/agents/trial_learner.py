@@ -79,6 +79,7 @@ class TrialLearner(Agent[LearnerState]):
         if not isinstance(body, BodyAgent):
             raise CannotActError("env must have an arm in the plane for a TrialLearner")
         self.body = body
+        self._lengths = np.array(body.interface.segment_lengths)
 
     @abstractmethod
     def aim(self, target: float, state: Any) -> float:
@@ -148,7 +149,7 @@ class TrialLearner(Agent[LearnerState]):
             state = state._replace(movement=movement)
         state = self._aim(state, rows)
         assert state.movement is not None
-        of, felt = state.movement, self._felt(rows)
+        of, felt = state.movement, hand(rows.joint_angles, self._lengths)
         aimed = Seen(rows.joint_angles, as_vectors(of.aim), rows.joint_speeds, as_vectors(felt))
         action, body = self.body.respond(of.body, aimed)
         if self.motor_noise:
@@ -164,13 +165,8 @@ class TrialLearner(Agent[LearnerState]):
         action = interface.checked_action(action, rows.joint_angles.shape[:-1])
         return action.reshape(*batch, action.shape[-1]), state._replace(movement=moved)
 
-    def _felt(self, rows: Seen) -> Points:
-        """Return where the hands are by joint angles and given lengths, (n,)."""
-        lengths = np.array(self.body.interface.segment_lengths)
-        return hand(rows.joint_angles, lengths)
-
     def _begin_movement(self, rows: Seen) -> Movement:
-        felt, seen = self._felt(rows), as_points(rows.hand).copy()
+        felt, seen = hand(rows.joint_angles, self._lengths), as_points(rows.hand).copy()
         still = Seen(rows.joint_angles, as_vectors(felt), rows.joint_speeds, as_vectors(felt))
         rest = np.zeros(len(felt))
         return Movement(self.body.start(still), felt, seen, felt, seen, seen, felt, rest)

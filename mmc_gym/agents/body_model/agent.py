@@ -100,9 +100,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             route=Route.start(joint_angles, as_points(sensed.target)),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
-            response=Response.start(
-                np.zeros_like(joint_angles), LONGEST_DELAY if self.has_own_act else 0
-            ),
+            response=Response.start(arms, joints, LONGEST_DELAY if self.has_own_act else 0),
         )
 
     @property
@@ -177,7 +175,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         response, locks = state.response, state.locks
         if self.has_own_act:
             delay = senses.delay
-            response = response.observe(seen.joint_speeds, delay.late, delay.is_felt)
+            before = state.senses.posture.speeds
+            response = response.observe(before, seen.joint_speeds, delay.late, delay.is_felt)
         if self.parts.finds_locks:
             locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
         recovers = senses.target.is_moving
@@ -255,8 +254,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             follows = is_moving & ~is_new & (route.ahead == 0)
             turn = self.interface.turn(state.route.goal, route.goal)
             goal_turn = np.where(follows[:, None], turn, goal_turn)
-        begins = begins | is_next_leg
-        return route._replace(aim=aim, goal_turn=goal_turn, begins=begins, is_new=is_new)
+        return route._replace(aim=aim, goal_turn=goal_turn, begins=begins | is_next_leg)
 
     def _drive(self, state: BodyState, problem: ReachProblem) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
@@ -272,7 +270,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
-        senses = state.senses.record(command, interface)
+        delay = state.senses.delay.record(command, state.senses.posture, interface)
+        senses = state.senses._replace(delay=delay)
         return joint_targets, state._replace(senses=senses, drive=drive, memory=memory)
 
     def _invert_servos(
@@ -304,10 +303,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _human_turn(
         self, turn: Floats, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, Drive]:
-        """Return the part of a turn that a movement of human speed makes now, and the drive.
-
-        All are (m, N), radians; `left` are the turns to the next posture of the route.
-        """
+        """Return the part of a turn that a movement of human speed makes now, and the drive."""
         now, lengths, route = problem.joint_angles, problem.lengths, state.route
         is_moving = state.senses.target.is_moving
         way = np.abs(hand(route.next, lengths) - hand(now, lengths))

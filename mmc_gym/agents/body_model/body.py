@@ -33,17 +33,16 @@ the first observation.  The mean error that is left is added as an offset, unles
 predicts the hand, too: the best hypothesis with a turn and a gain, m, so that it explains the last
 five hands, log m on a line in time.  While the rival's errors are clearly smaller, the body is
 taken to change: the rival is used, extrapolated to when a command acts, and the sums are forgotten
-fast (a variable forgetting factor; Fortescue, Kershenbaum & Ydstie 1981).  Noise is no change,
-because under noise a line through five hands predicts worse than the sums.
+fast (a variable forgetting factor; Fortescue et al. 1981).  Noise is no change, because under noise
+a line through five hands predicts worse than the sums.
 
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
 load, an obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts
 before the arm is felt to move, because late senses show an arm at rest.
 
-Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist. 6, 461–464.
-T. R. Fortescue, L. S. Kershenbaum, B. E. Ydstie (1981), Implementation of self-tuning regulators
-with variable forgetting factors, Automatica 17, 831–835.
+Literature: Schwarz (1978), Ann. Statist. 6, 461–464.  Fortescue, Kershenbaum & Ydstie (1981),
+Automatica 17, 831–835.
 """
 
 from __future__ import annotations
@@ -112,7 +111,6 @@ class Body(NamedTuple):
 
 
 def _mirrored(points: Points, chosen: Bools) -> Points:
-    """Return points, of those `chosen` the mirror image about the first axis."""
     return np.where(chosen, points.conj(), points) if some(chosen) else points
 
 
@@ -215,12 +213,8 @@ class BodyEvidence(NamedTuple):
     ) -> BodyEvidence:
         """Return the evidence after the hand was seen in a posture.
 
-        Args:
-            joint_angles: the posture.
-            hand: where the hand was seen.
-            follows: whether changes are followed.
-            mirrors: whether the cursor may be mirrored.
-            blur: mean square error of the hand that follows from that of the posture.
+        Changes are followed, or not; the cursor may be mirrored, or not.  `blur` is the mean square
+        error of the hand that follows from that of the posture.
         """
         units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given.lengths * units).sum(axis=-1)
@@ -258,7 +252,6 @@ class BodyEvidence(NamedTuple):
         return self.best._replace(turn=turn, shift=shift)
 
     def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
-        """Return the best hypothesis for each arm."""
         if every(is_given):
             return self.given
         is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
@@ -282,19 +275,13 @@ def _is_given(sums: Points) -> Bools:
 
 
 def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
-    """Return the products of matrices (..., N, N) and vectors (..., N), the same in any batch.
-
-    The order in which a library for matrices sums may differ between batches.
-    """
+    """Return products with vectors (..., N), which `@` would sum otherwise in another batch."""
     product: NDArray[Any] = (matrices * vectors[..., None, :]).sum(axis=-1)
     return product
 
 
 def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDArray[Any]]:
-    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses, the shift left out.
-
-    They are the best for G (…, N, N) and h (…, N), with the given lengths, (N,).
-    """
+    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses for G (…, N, N), h (…, N)."""
     segments = len(given)
     as_given: Floats = np.broadcast_to(given, h.shape)
     unturned: Points = np.ones(h.shape[:-1], complex)
@@ -317,10 +304,7 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
 
 
 def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
-    """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given.
-
-    Where the cursor may be mirrored (`mirrors`), that is tried if all others leave clear errors.
-    """
+    """Return the best hypothesis for each arm; where it `mirrors`, mirrored if no other fits."""
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
@@ -389,13 +373,7 @@ class Locks(NamedTuple):
     def identify(
         self, step: LastStep, lockable: tuple[int, ...] = (), vigour: float = 1.0
     ) -> Locks:
-        """Return the locks after a control step.
-
-        Args:
-            step: of n arms.
-            lockable: the joints that can lock, if they are given; empty: any joint can.
-            vigour: see `Parts`.
-        """
+        """Return the locks after a control step; without `lockable` joints any can lock."""
         seen, noise = step.after.joint_angles, step.after.deviation
         away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
         moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)

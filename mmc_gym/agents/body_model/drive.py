@@ -81,10 +81,7 @@ class Drive(NamedTuple):
         return self._replace(acceleration=np.where(saturates, estimate, idle))
 
     def turn(self, left: Floats, goal_turn: Floats, interface: ReachInterface) -> Floats:
-        """Return how far joints should turn in this control step.
-
-        Their goal is `left` away, and itself turns by `goal_turn` in a control step.
-        """
+        """Return the turns in a control step to a goal `left` away that turns by `goal_turn`."""
         step = interface.control_step
         behind = left - goal_turn
         size = np.abs(behind)
@@ -96,10 +93,7 @@ class Drive(NamedTuple):
     def straight(
         self, begin: Floats, joint_angles: Floats, end: Floats, interface: ReachInterface
     ) -> Floats:
-        """Return how far joints should turn on the straight way between two postures.
-
-        All joints arrive together, and joints that have left the way return to it.
-        """
+        """Return turns on, or back to, a straight way, at whose end all joints arrive together."""
         way = interface.turn(begin, end)
         along = ((joint_angles - begin) * way).sum(axis=-1, keepdims=True)
         square = (way * way).sum(axis=-1, keepdims=True)

@@ -65,10 +65,7 @@ def to_hand(joint_angles: Floats, lengths: Floats) -> Points:
 
 
 def pull_hand(levers: Points, error: Points, damping: float, held: Bools | None) -> Floats:
-    """Return the turns that move the hand by `error`, (...), by damped least squares, (..., N).
-
-    The levers are those of `to_hand`, (..., N); joints that are `held`, likewise, do not turn.
-    """
+    """Return the turns (..., N) that move the hand by `error` (...); `held` joints do not turn."""
     if held is not None:
         levers = np.where(held, 0, levers)
     jacobian = np.swapaxes(as_vectors(1j * levers), -1, -2)
@@ -124,28 +121,26 @@ class Response(NamedTuple):
     """What was seen of the response of n arms with N joints."""
 
     actions: Floats  # those sent, the latest last, (n, longest delay + 1, N)
-    speeds: Floats  # as last seen, (n, N)
     squares: Floats  # Σ x xᵀ of x = (s, u), (n, N, 2, 2)
     products: Floats  # Σ x (s′ − s), (n, N, 2)
 
     @classmethod
-    def start(cls, speeds: Floats, longest: int) -> Response:
+    def start(cls, arms: int, joints: int, longest: int) -> Response:
         """Return the response before any action."""
-        arms, joints = speeds.shape
         actions, sums = np.zeros((arms, longest + 1, joints)), np.zeros((arms, joints, 2))
-        return cls(actions, speeds, np.zeros((arms, joints, 2, 2)), sums)
+        return cls(actions, np.zeros((arms, joints, 2, 2)), sums)
 
-    def observe(self, speeds: Floats, late: Floats, counts: Bools) -> Response:
+    def observe(self, before: Floats, speeds: Floats, late: Floats, counts: Bools) -> Response:
         """Return the response after speeds were seen, `late` control steps (n,); some count."""
         steps, arms = late.astype(np.intp), np.arange(len(late))
-        x = np.stack([self.speeds, self.actions[arms, -1 - steps]], axis=-1) * counts[:, None, None]
+        x = np.stack([before, self.actions[arms, -1 - steps]], axis=-1) * counts[:, None, None]
         squares = self.squares + x[..., :, None] * x[..., None, :]
-        products = self.products + x * (speeds - self.speeds)[..., None]
-        return self._replace(speeds=speeds, squares=squares, products=products)
+        products = self.products + x * (speeds - before)[..., None]
+        return self._replace(squares=squares, products=products)
 
     def record(self, action: Floats) -> Response:
         """Return the response after actions were sent, if there is one for each joint."""
-        if np.shape(action) != self.speeds.shape:
+        if np.shape(action) != self.actions[:, 0].shape:
             return self
         return self._replace(actions=np.concatenate([self.actions[:, 1:], action[:, None]], axis=1))
 
@@ -153,9 +148,8 @@ class Response(NamedTuple):
         self, joint_angles: Floats, speeds: Floats, late: Floats, control_step: float
     ) -> tuple[Floats, Floats]:
         """Return angles and speeds of now, from those of `late` control steps (n,) ago."""
-        fit = np.linalg.solve(self.squares + RESPONSE_RIDGE * np.eye(2), self.products[..., None])[
-            ..., 0
-        ]
+        squares = self.squares + RESPONSE_RIDGE * np.eye(2)
+        fit = np.linalg.solve(squares, self.products[..., None])[..., 0]
         keep, push = np.moveaxis(STEADY + fit, -1, 0)
         for back in range(int(late.max()), 0, -1):
             is_due = (back <= late)[:, None]

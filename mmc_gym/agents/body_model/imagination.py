@@ -4,16 +4,13 @@ A redundant arm has many postures for a target.  Several copies of the model sta
 around the present one, and settle with their hand at the target; joints that are locked, or would
 turn beyond a limit, are held.  The nearest posture is chosen: the one whose joints turn least,
 above all the joint that turns farthest.  MMC networks have been used for planning by internal
-simulation before (Schilling and Cruse 2017).
+simulation before (Schilling & Cruse 2017, Front. Neurorobot. 11:3).
 
 The internal model is the MMC network, or damped least squares for comparison.  The network is the
 paper's, with the learned normalizer and with velocities.  A velocity acts as a momentum, and with
 less damping than the paper's (d just above (N + 1)/2, where the network still converges, and
 d_v = 2) the network settles in a third of the iterations: after 20 the median distance is 0.001
 (kinematic network, d = 2.5: 0.013).
-
-Literature: M. Schilling, H. Cruse (2017), ReaCog, a minimal cognitive controller based on
-recruitment of reactive systems, Front. Neurorobot. 11:3.
 """
 
 from __future__ import annotations

@@ -25,14 +25,9 @@ Subjects may be noisy.  The aim of a movement is turned about its begin by an an
 for the movement, and each command is multiplied by 1 + s z, with a standard normal z for each joint
 and control step.  Draws follow from the subject's seed and the numbers of movement and step.
 
-Literature: M. A. Smith, A. Ghazizadeh, R. Shadmehr (2006), Interacting adaptive processes with
-different timescales underlie short-term motor learning, PLoS Biol. 4, e179.  J. W. Krakauer et al.
-(2000), Learning of visuomotor transformations for vectorial planning of reaching trajectories, J.
-Neurosci. 20, 8916–8924.  H. E. Kim et al. (2018), Invariant errors reveal limitations in motor
-correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.  R. J. van Beers
-(2009), Motor learning is optimally tuned to the properties of motor noise, Neuron 63, 406–417.
-C. M. Harris, D. M. Wolpert (1998), Signal-dependent noise determines motor planning, Nature 394,
-780–784.
+Literature: Smith, Ghazizadeh & Shadmehr (2006), PLoS Biol. 4, e179.  Krakauer et al. (2000), J.
+Neurosci. 20, 8916–8924 (directions).  Kim et al. (2018), Commun. Biol. 1, 19 (the largest error).
+van Beers (2009), Neuron 63, 406–417, and Harris & Wolpert (1998), Nature 394, 780–784 (noise).
 """
 
 from __future__ import annotations
@@ -81,10 +76,7 @@ class Memory(NamedTuple):
 
     @classmethod
     def start(cls, arms: int, joints: int, parts: Parts, subjects: Sequence[Parts] = ()) -> Memory:
-        """Return the memory of arms that believe the given body.
-
-        Rate and retention are those of `subjects`, one for each arm, or else of `parts`.
-        """
+        """Return the memory of arms, one of each of the `subjects`, that believe the given body."""
         directions = DIRECTIONS if math.isfinite(parts.width) else 1
         states = np.zeros((arms, len(parts.rate), directions, joints + 2))
         learners = subjects if len(subjects) == arms else [parts] * arms

@@ -17,13 +17,10 @@ which the point should move.
 **Routes.**  Postures near the straight ways to the target, and some anywhere, form a map of where
 the arm can be.  Legs between them that lead a segment into a remembered disc are left out, and the
 shortest route from the present posture to one with the hand at the target is taken (a probabilistic
-roadmap: Kavraki, Švestka, Latombe and Overmars 1996).  There may be more obstacles than are known,
-so a leg costs more the farther the arm moves in the plane.  Finally the postures on the route are
-drawn towards the straight line, as far as that is free.
-
-Literature: L. E. Kavraki, P. Švestka, J.-C. Latombe, M. H. Overmars (1996), Probabilistic roadmaps
-for path planning in high-dimensional configuration spaces, IEEE Trans. Robotics Automation 12,
-566–580.
+roadmap: Kavraki, Švestka, Latombe & Overmars 1996, IEEE Trans. Robotics Automation 12, 566–580).
+There may be more obstacles than are known, so a leg costs more the farther the arm moves in the
+plane.  Finally the postures on the route are drawn towards the straight line, as far as that is
+free.
 """
 
 from __future__ import annotations
@@ -151,8 +148,7 @@ class Contacts(NamedTuple):
         return is_felt | (self.still >= LASTING), point
 
     def _remember(self, disc: Points) -> Contacts:
-        """Return the memory of one more disc for each arm."""
-        # Another contact with a known disc improves its place.
+        """Return the memory of one more disc for each arm; a known one improves its place."""
         arms, distance = np.arange(len(disc)), np.abs(self.discs - disc[:, None])
         nearest = distance.argmin(axis=-1)
         is_known = distance[arms, nearest] < RADIUS
@@ -182,14 +178,13 @@ class Route(NamedTuple):
     aim: Points  # position of the hand for which the route was planned
     goal_turn: Floats  # how far the goal turns in this control step, after a moving target
     begins: Bools  # whether a movement begins now, (n,)
-    is_new: Bools  # whether the route changes now, of a movement that begins or continues, (n,)
 
     @classmethod
     def start(cls, joint_angles: Floats, aim: Points) -> Route:
         """Return the route that stays."""
         vias = np.repeat(joint_angles[:, None], LEGS - 1, axis=1)
         no, still = np.zeros(len(aim), bool), np.zeros_like(joint_angles)
-        return cls(joint_angles, vias, no.astype(np.intp), joint_angles, aim, still, no, no)
+        return cls(joint_angles, vias, no.astype(np.intp), joint_angles, aim, still, no)
 
     @property
     def next(self) -> Floats:
@@ -210,10 +205,7 @@ class Route(NamedTuple):
 
 
 def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
-    """Return the distance of arms from the nearest disc, (...).
-
-    Postures are (..., N), lengths (N,), and the centres of the discs (M,).
-    """
+    """Return the distance (...) of postures (..., N) from the nearest of the discs (M,)."""
     units = unit_vectors(joint_angles)
     segments = lengths * units
     begin = np.cumsum(segments, axis=-1) - segments
@@ -245,7 +237,6 @@ class RoadMap:
     """The map on which routes round the remembered contacts are planned."""
 
     def __init__(self, imagination: Imagination) -> None:
-        """Draw the map for the arm of an imagination."""
         self.imagination, self.interface = imagination, imagination.interface
         joints = len(self.interface.segment_lengths)
         random = np.random.default_rng(0)  # always the same map

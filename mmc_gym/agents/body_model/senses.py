@@ -28,14 +28,12 @@ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
 Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
 
 **Delay.**  It is the time from the first command that should be felt to the first movement.  An old
-posture is run forward through the commands sent since (Miall, Weir, Wolpert and Stein 1993).  Hand
-and target may be seen later than joints are felt: until the hand first moves.  A late hand belongs
-to the posture of its time.
+posture is run forward through the commands sent since (Miall et al. 1993).  Hand and target may be
+seen later than joints are felt: until the hand first moves.  A late hand belongs to the posture of
+its time.
 
-Literature: N. Morrison (1969), Introduction to sequential smoothing and prediction, McGraw-Hill.
-E. Brookner (1998), Tracking and Kalman filtering made easy, Wiley.  R. C. Miall, D. J. Weir,
-D. M. Wolpert, J. F. Stein (1993), Is the cerebellum a Smith predictor?, J. Motor Behavior 25,
-203–216.
+Literature: Morrison (1969), Introduction to sequential smoothing and prediction.  Brookner (1998),
+Tracking and Kalman filtering made easy.  Miall et al. (1993), J. Motor Behavior 25, 203–216.
 """
 
 from __future__ import annotations
@@ -93,7 +91,6 @@ class Senses(NamedTuple):
     target: TargetTrack
     delay: Delay
     hand: Points  # as last seen
-    felt: Floats  # joint angles as last seen
     is_hidden: Bools  # whether the hand is not seen now, (n,)
     postures: Floats  # joint angles, the latest last, (n, LONGEST_DELAY + 1, N)
 
@@ -106,7 +103,6 @@ class Senses(NamedTuple):
             TargetTrack.start(as_points(sensed.target)),
             Delay.start(command_of(interface, joint_angles, joint_angles)),
             np.zeros(len(joint_angles), complex),
-            joint_angles,
             np.zeros(len(joint_angles), bool),
             np.repeat(joint_angles[:, None], LONGEST_DELAY + 1, axis=1),
         )
@@ -115,13 +111,13 @@ class Senses(NamedTuple):
         """Return the senses after the first look at the hand."""
         hand = as_points(seen.hand)
         is_hidden = self._hides(hand, seen.joint_angles, self.posture)
-        return self._replace(hand=hand, felt=seen.joint_angles, is_hidden=is_hidden)
+        return self._replace(hand=hand, is_hidden=is_hidden)
 
     def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
         """Return which hands are hidden: these repeat their last sight, though the joints turn."""
         is_hidden = np.abs(hand - self.hand) < SAME_PLACE
         if some(is_hidden):
-            turned = np.abs(joint_angles - self.felt).max(axis=-1)
+            turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
             noise = posture.deviation[:, 0]
             is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
         return is_hidden
@@ -129,10 +125,7 @@ class Senses(NamedTuple):
     def update(
         self, seen: Seen, interface: ReachInterface, parts: Parts
     ) -> tuple[Senses, LastStep]:
-        """Return the senses after one more observation, and what it shows of the last step.
-
-        Movement, and so delay, is seen last.
-        """
+        """Return the senses after one more observation, and what it shows of the last step."""
         joint_angles, speeds = seen.joint_angles, seen.joint_speeds
         place, hand = as_points(seen.target), as_points(seen.hand)
         delay, commands = self.delay, self.delay.commands_seen()
@@ -162,11 +155,7 @@ class Senses(NamedTuple):
             is_felt=delay.is_felt,
             is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR),
         )
-        return Senses(posture, target, delay, hand, joint_angles, is_hidden, postures), step
-
-    def record(self, command: Floats, interface: ReachInterface) -> Senses:
-        """Return the senses after commands were sent."""
-        return self._replace(delay=self.delay.record(command, self.posture, interface))
+        return Senses(posture, target, delay, hand, is_hidden, postures), step
 
     @property
     def of_hand(self) -> Floats:

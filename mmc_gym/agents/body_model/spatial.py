@@ -104,7 +104,6 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         return self.interface.act(state.goal, seen), state
 
     def _observe_turns(self, state: SpatialState, joint_angles: Floats) -> SpatialState:
-        """Return the state after postures were seen, (m, n)."""
         farthest = self.interface.speed_limit * self.interface.control_step
         commanded = np.abs(state.goal - state.joint_angles).clip(max=farthest)
         turned = np.abs(joint_angles - state.joint_angles)
@@ -114,8 +113,10 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         return state._replace(joint_angles=joint_angles, waited=waited, looks=state.looks + 1)
 
     def _identify_links(self, state: SpatialState, hand: Floats) -> SpatialState:
-        """Return the state with links and offset, after hands were seen, (m, 3)."""
-        columns = turned_links(self.arm, state.joint_angles)
+        frames = self.arm.frames(state.joint_angles)
+        base, end = np.zeros((len(hand), 1, 3)), frames.hand[:, None, :3, 3]
+        columns = np.diff(np.concatenate([base, frames.points, end], axis=1), axis=1)
+        columns = np.swapaxes(columns, 1, 2)  # R_i a_i, (m, 3, n + 1)
         error = hand - columns.sum(axis=-1)
         w = np.concatenate([columns, error[..., None]], axis=-1)
         sums = (1 - FORGET_LINKS) * state.sums + np.swapaxes(w, -1, -2) @ w
@@ -149,14 +150,6 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
 def links_of(arm: HingeArm) -> Floats:
     """Return the links of an arm in the zero posture, (n + 1, 3), from the base to the hand."""
     return np.diff([np.zeros(3), *arm.points, arm.home[:3, 3]], axis=0)
-
-
-def turned_links(arm: HingeArm, joint_angles: Floats) -> Floats:
-    """Return the links of an arm in postures (m, n), the columns R_i a_i, (m, 3, n + 1)."""
-    frames = arm.frames(joint_angles)
-    base, hand = np.zeros((len(joint_angles), 1, 3)), frames.hand[:, None, :3, 3]
-    ends = np.concatenate([base, frames.points, hand], axis=1)
-    return np.swapaxes(np.diff(ends, axis=1), 1, 2)
 
 
 def lengthened(arm: HingeArm, shares: Floats) -> HingeArm:
