@@ -27,10 +27,7 @@ UNSEALED = "0" * 64
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
     """Write `content` to a temporary file in the same folder, flush it to disk, and rename it.
 
-    Missing parent folders are made.  A text is written as UTF-8.
-
-    Raises:
-        OSError: if it cannot be written, as on a full disk; it names the file.
+    Missing parent folders are made.  A text is written as UTF-8.  An `OSError` names the file.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -81,11 +78,12 @@ class YamlLoader(yaml.SafeLoader):
     @override
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         node = super().compose_mapping_node(anchor)
-        keys = [key.value if _is_text(key) else None for key, _ in node.value]
-        if None in keys:
-            raise yaml.YAMLError(f"the key {node.value[keys.index(None)][0].value} must be a text")
-        if twice := next((key for key in keys if keys.count(key) > 1), None):
-            raise yaml.YAMLError(f"the key {twice!r} occurs twice")
+        keys = [key.value for key, _ in node.value]
+        for key, _ in node.value:
+            if key.tag not in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"):
+                raise yaml.YAMLError(f"the key {key.value} must be a text")
+            if keys.count(key.value) > 1:
+                raise yaml.YAMLError(f"the key {key.value!r} occurs twice")
         return node
 
     @override
@@ -95,16 +93,13 @@ class YamlLoader(yaml.SafeLoader):
         return node
 
 
-def _is_text(key: yaml.Node) -> bool:
-    return key.tag in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge")
-
-
 def _count(node: yaml.Node, counted: dict[int, int]) -> int:
     """Return the number of values in a node, those behind an alias each time that it is used."""
     if id(node) not in counted:
         parts = node.value if isinstance(node, yaml.CollectionNode) else []
-        flat = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
-        counted[id(node)] = 1 + sum(_count(one, counted) for one in flat)
+        if isinstance(node, yaml.MappingNode):
+            parts = [one for pair in parts for one in pair]
+        counted[id(node)] = 1 + sum(_count(one, counted) for one in parts)
     return counted[id(node)]
 
 

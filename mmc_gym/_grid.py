@@ -46,8 +46,7 @@ class CellError(RuntimeError):
     """A cell of a grid failed; the error that the function raised is the `__cause__`."""
 
     def __init__(self, index: int, cell: object, error: BaseException) -> None:
-        reason = f"{type(error).__name__}: {error}"
-        super().__init__(f"cell {index}, {shown(cell)}, failed: {reason}")
+        super().__init__(f"cell {index}, {shown(cell)}, failed: {type(error).__name__}: {error}")
         self.__cause__ = error
 
 
@@ -73,8 +72,8 @@ def run_grid(
         jobs: how many cells are computed at once; 1 computes in this process.  The default is the
             number of processors of this machine, or of the cluster.
         cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
-            machine belongs to, or a local one if there is none; "ray://HOST:PORT" for the one
-            whose client server listens there.  A node with other sources of `mmc_gym` refuses work.
+            machine belongs to, or a local one; "ray://HOST:PORT" for the one whose client server
+            listens there.  A node with other sources of `mmc_gym` refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
             continues without it, and its result is None.  Then even a single cell is computed in
@@ -121,14 +120,15 @@ def run_grid(
             for call in workers.finished(running):
                 index = running.pop(call)
                 value, error = _outcome(workers, call)
-                if isinstance(error, WorkerDied) and index not in suspects:
+                has_died = isinstance(error, WorkerDied)
+                if has_died and index not in suspects:
                     suspects.append(index)
                     continue
                 if index in suspects:
                     suspects.remove(index)
                 if error is None:
                     keep(index, value)
-                elif isinstance(error, WorkerDied) and on_failure is not None:
+                elif has_died and on_failure is not None:
                     on_failure(index, CellError(index, cells[index], error))
                 else:
                     failed = failed or CellError(index, cells[index], error)
@@ -184,14 +184,12 @@ class _Processes:
         )
 
     def submit(self, packed: bytes) -> Any:
-        """Begin a call, and return a handle of it."""
         with suppress(BrokenProcessPool):
             return self._executor.submit(_run_packed, packed)
         self._executor = self._start()
         return self._executor.submit(_run_packed, packed)
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
-        """Wait for calls, and return those that are finished."""
         return wait(calls, return_when=FIRST_COMPLETED).done
 
     def result(self, call: Any) -> Any:
@@ -199,7 +197,6 @@ class _Processes:
         return call.result()
 
     def close(self, calls: Collection[Any]) -> None:
-        """End the processes."""
         self._executor.shutdown(wait=True, kill_workers=True)
 
 
@@ -271,12 +268,8 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
 def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
     """Run a packed call in a worker.
 
-    Args:
-        packed: see `_packed`.
-        sources: the caller's `_sources`, which a worker on another machine must have, too.
-
-    Returns:
-        The pickled pair of its value and None, or of None and its error.
+    The `sources` are the caller's `_sources`, which a worker on another machine must have, too.
+    Return the pickled pair of its value and None, or of None and its error.
     """
     try:
         if sources not in (None, _sources()):
@@ -289,17 +282,12 @@ def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
             return bytes(cloudpickle.dumps((function(cell), None)))
     except (Exception, SystemExit) as error:
         error.add_note(f"in a worker:\n{traceback.format_exc()}")  # tracebacks cannot be pickled
-        return _packed_failure(error)
-
-
-def _packed_failure(error: BaseException) -> bytes:
-    """Return the pickled pair of None and the error, or one with its message."""
-    try:
-        failure = bytes(cloudpickle.dumps((None, error)))
-        pickle.loads(failure)
-        return failure
-    except Exception:  # not every error can be pickled and read again
-        return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+        try:
+            failure = bytes(cloudpickle.dumps((None, error)))
+            pickle.loads(failure)
+            return failure
+        except Exception:  # not every error can be pickled and read again
+            return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
 def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException | None]:

@@ -57,7 +57,11 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows without pyplot."""
+    """A figure that a notebook shows without pyplot; width and height are in inches."""
+
+    def __init__(self, width: float, height: float) -> None:
+        super().__init__(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
         picture = io.BytesIO()
@@ -86,11 +90,7 @@ def paths_and_profiles(
     columns = -(-len(movements) // rows)
     side = min(max(5.0 / columns, 1.45), 2.5)  # inches
     with rc_context(STYLE):
-        if figure is None:
-            size = (max(columns * side, 5.0), rows * (side + 1.8) + 0.6)
-            figure = ShownFigure(figsize=size, layout="constrained")
-            FigureCanvasAgg(figure)
-        width = figure.get_figwidth()
+        figure = figure or ShownFigure(max(columns * side, 5.0), rows * (side + 1.8) + 0.6)
         axes = figure.subplots(
             2 * rows, columns, squeeze=False, sharey="row", height_ratios=(side, 1.1) * rows
         )
@@ -117,17 +117,15 @@ def paths_and_profiles(
             "episodes (starts and targets, the same for all agents; not training seeds: one "
             "training run each)."
         )
-        figure.supxlabel(textwrap.fill(caption, round(17 * width)), fontsize=7, linespacing=1.4)
+        caption = textwrap.fill(caption, round(17 * figure.get_figwidth()))
+        figure.supxlabel(caption, fontsize=7, linespacing=1.4)
     return figure
 
 
 def draw_paths(
     axes: Axes, movements: Sequence[PlottedMovement], reach: float, tolerance: float
 ) -> None:
-    """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
-
-    The arguments are those of `paths_and_profiles`.
-    """
+    """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach."""
     halo = [withStroke(linewidth=2, foreground="white")]
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, (hands, (x, y), _) in enumerate(movements[:EXAMPLES]):
@@ -137,8 +135,8 @@ def draw_paths(
         axes.add_patch(Circle((x, y), tolerance, fill=False, linewidth=0.8))
         axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
         axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
-        number_style: Any = {"color": colour, "path_effects": halo, "zorder": 5}
-        axes.annotate(str(number + 1), (x, y), (5, 4), textcoords="offset points", **number_style)
+        style: Any = {"color": colour, "path_effects": halo, "zorder": 5}
+        axes.annotate(str(number + 1), (x, y), (5, 4), textcoords="offset points", **style)
     border = 1.05 * reach
     axes.set(xlim=(-border, border), ylim=(-border, border), aspect="equal")
 
@@ -147,16 +145,13 @@ def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = N
     """Draw successive postures of the first `EXAMPLES` arms, later ones darker.
 
     Nodes are base, joints and hand in each posture, (postures, arms, N + 1, 2); ends are the arms'
-    targets, drawn as crosses, (arms, 2).  Without `axes` there is a new figure.
+    targets, (arms, 2).  Without `axes` there is a new figure.
     """
     count = len(nodes)
     # Show more of the early postures: the first steps are the largest.
     shown = np.unique(np.geomspace(1, count, min(count, POSTURES)).round().astype(int)) - 1
     with rc_context(STYLE):
-        if axes is None:
-            figure = ShownFigure(figsize=(3.6, 3.6), layout="constrained")
-            FigureCanvasAgg(figure)
-            axes = figure.add_subplot()
+        axes = axes or ShownFigure(3.6, 3.6).add_subplot()
         arms = zip(nodes.swapaxes(0, 1)[:EXAMPLES], ends, COLOURS, strict=False)
         for postures, (x, y), colour in arms:
             for place, posture in enumerate(postures[shown], start=1):

@@ -83,7 +83,7 @@ def _html_heading(heading: Heading) -> str:
 
 
 def _html_row(row: Row) -> str:
-    name = _html_text(row.name) + "".join(map(_html_note, filter(None, [row.note])))
+    name = _html_text(row.name) + (_html_note(row.note) if row.note else "")
     cells = "".join(f"<td{_css_class(one.look)}>{_html_cell(one)}</td>" for one in row.cells)
     return f'<tr{_css_class(row.look)}><th scope="row">{name}</th>{cells}</tr>'
 
@@ -115,14 +115,13 @@ def _css_class(name: str) -> str:
 def to_markdown(table: Table) -> str:
     """Return a table as Markdown, with its caption below; names of rows "focus" are bold."""
     heads = [", ".join(filter(None, [plain(one.label), one.unit])) for one in table.headings]
-    rows = [[_markdown_name(row), *map(_markdown_cell, row.cells)] for row in table.rows]
-    lines = [f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads), *rows)]
-    return "\n".join([*lines, *(["", plain(table.caption)] if table.caption else [])])
-
-
-def _markdown_name(row: Row) -> str:
-    name = f"**{plain(row.name)}**" if row.look == "focus" else plain(row.name)
-    return f"{name}: {plain(row.note)}" if row.note else name
+    lines = [heads, ["---"] * len(heads)]
+    for row in table.rows:
+        name = f"**{plain(row.name)}**" if row.look == "focus" else plain(row.name)
+        note = f": {plain(row.note)}" if row.note else ""
+        lines.append([name + note, *map(_markdown_cell, row.cells)])
+    caption = ["", plain(table.caption)] if table.caption else []
+    return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), *caption])
 
 
 def _markdown_cell(cell: Cell) -> str:
@@ -153,14 +152,9 @@ def print_table(console: Console, table: Table) -> None:
         for place, column in enumerate(texts):
             fixed = place == 0 or bool(numbers)
             shown.add_column(text_for(console, *column.heading), no_wrap=fixed, overflow="fold")
+        right: Any = {"justify": "right", "overflow": "fold", "vertical": "top"}
         for column in group:
-            shown.add_column(
-                text_for(console, *column.heading),
-                justify="right",
-                overflow="fold",
-                width=column.width,
-                vertical="top",
-            )
+            shown.add_column(text_for(console, *column.heading), **right, width=column.width)
         for cells in zip(*(column.cells for column in [*texts, *group]), strict=True):
             shown.add_row(*(text_for(console, *lines) for lines in cells))
         console.print(Padding(shown, (1, 0)) if numbers else shown)
@@ -184,18 +178,15 @@ def _lines(cell: tuple[str, ...]) -> list[str]:
 
 def _columns(table: Table, written: Callable[[str], str]) -> tuple[list[_Column], list[_Column]]:
     """Return the columns of text, and those of numbers, as they are written."""
-    rows = [
-        [(row.name, *filter(None, [row.note])), *((one.text, *one.notes) for one in row.cells)]
-        for row in table.rows
-    ]
-    columns = list(zip(*rows, strict=True))
+    names = [Cell(row.name, (row.note,) if row.note else ()) for row in table.rows]
+    columns = list(zip(*((name, *row.cells) for name, row in zip(names, table.rows)), strict=True))
     headings = table.headings or (Heading("", is_text=True),) * len(columns)
     texts: list[_Column] = []
     numbers: list[_Column] = []
     for place, (one, cells) in enumerate(zip(headings, columns, strict=True)):
         kind = texts if place == 0 or one.is_text else numbers
-        heading = (one.label, *([f"[{one.unit}]"] if one.unit else []))
-        first, *others = (tuple(map(written, lines)) for lines in (heading, *cells))
+        heading = Cell(one.label, (f"[{one.unit}]",) if one.unit else ())
+        first, *others = (tuple(map(written, (c.text, *c.notes))) for c in (heading, *cells))
         kind.append(_Column(first, others))
     return texts, numbers
 
@@ -265,15 +256,11 @@ def estimate_cell(row: Mapping[Any, Any], decimals: int) -> Cell:
     >>> estimate_cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2)[:2]
     ('0.50', ('[0.40, 0.61]', '9 of 10'))
     """
-    decimals = _three_digits(row["estimate"], decimals)
+    size = abs(row["estimate"])
+    if 1 < size < math.inf:
+        digits_before_point = int(math.log10(size)) + 1
+        decimals = max(0, min(decimals, 3 - digits_before_point))
     notes = [interval(row["low"], row["high"], decimals)]
     if row["missing"]:
         notes.append(f"{row['count']} of {row['count'] + row['missing']}")
     return Cell(number(row["estimate"], decimals), tuple(filter(None, notes)))
-
-
-def _three_digits(estimate: float, at_most: int) -> int:
-    if not math.isfinite(estimate) or abs(estimate) <= 1:
-        return at_most
-    digits_before_point = int(math.log10(abs(estimate))) + 1
-    return max(0, min(at_most, 3 - digits_before_point))

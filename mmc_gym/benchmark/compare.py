@@ -94,14 +94,13 @@ def compare(
             other one.  By default your own agents, or else the first.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
             several control modes, or do not declare one.
-        interface: for an environment that is not of this package, the `ReachInterface` that you
-            wrote for it, "module:name" of one, or a function of the environment that returns one.
+        interface: for an environment that is not of this package, your `ReachInterface` for it,
+            "module:name" of one, or a function of the environment that returns one.
             Measures of what it does not report are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
         wrapper: a function of the environment, or "module:function", that puts it into the wrappers
-            of a model's training, such as a stack of frames; for all models of stable-baselines3,
-            or of a mapping for those labels.
+            of a model's training; for all models of stable-baselines3, or a mapping of labels.
         explain: whether to print all of how to read the numbers, see `Comparison.explanation`.
 
     >>> comparison = compare(["random"], episodes=2)
@@ -113,31 +112,32 @@ def compare(
     {'random': 2, 'minimum jerk (ideal)': 2}
     """
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
-    chosen = _focus(found, [focus] if isinstance(focus, str) else focus)
+    labels = [agent.label for agent in found]
+    wanted = [focus] if isinstance(focus, str) else focus
+    for name in wanted:
+        require_choice("focus", name, dict.fromkeys(labels))
+    own = [agent.label for agent in found if agent.knowledge.kind == "yours"]
+    chosen = tuple(dict.fromkeys(wanted or own or labels[:1]))
     found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
     seeds, seed = episode_seeds(seed, episodes), int(seed)
     if out is not None:
         out = check_folder(out, "out")
     scenario = parse_environment(env, env_kwargs, interface)
     envs: list[gym.Env[Any, Any]] = []
+    steps: dict[str, int | None] = {}
+    controls: dict[str, str] = {}
     players: list[Predictor] = []
     with ExitStack() as stack:
-        # All are made before the first one plays, so that a missing file is noticed at once.
         for agent in found:
             made, player = make_player(agent, scenario)
             stack.callback(made.close)
             envs.append(made)
             players.append(player)
+            steps[agent.label] = getattr(player, "training_steps", None)
+            controls[agent.label] = str(read_attribute(made, "control"))
         arms = stack.enter_context(closing(Arms(scenario)))
         played = _play(found, arms, envs, players, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
-    steps = {
-        agent.label: getattr(player, "training_steps", None)
-        for agent, player in zip(found, players)
-    }
-    controls = {
-        agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
-    }
     if has_reference(envs[0]):
         found.append(resolve(REFERENCE))
         played.append(minimum_jerk_episodes(played[0]))
@@ -146,14 +146,13 @@ def compare(
     for agent, one in zip(found, played):
         recorded[agent.label] = recorded.get(agent.label, ()) + one
     later = other_controls(controls).keys() - set(chosen) | {REFERENCE}
-    recorded = dict(sorted(recorded.items(), key=lambda item: item[0] in later))
     table = _tidy(found, played)
     comparison = Comparison(
         env=scenario.name,
         seed=seed,
         reach=reach,
         focus=chosen,
-        recorded=recorded,
+        recorded=dict(sorted(recorded.items(), key=lambda item: item[0] in later)),
         training_steps=steps,
         episodes=table,
         summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
@@ -206,7 +205,6 @@ class Comparison:
 
     @property
     def _episodes(self) -> int:
-        """The number of episodes that each training of an agent played."""
         return int(self.episodes["episode"].nunique())
 
     @property
@@ -245,13 +243,13 @@ class Comparison:
             values = self.episodes.loc[self.episodes["agent"] == label, measure.name]
             tables[label] = values.to_numpy(np.float64).reshape(-1, self._episodes)
         both = np.all([np.isfinite(one).any(axis=0) for one in tables.values()], axis=0)
+        if not both.any():
+            return Estimate(math.nan, math.nan, math.nan)
         scores = Scores(
             instances=(int(both.sum()),),
             values={label: (table[:, both],) for label, table in tables.items()},
             seeds={label: len(table) for label, table in tables.items()},
         )
-        if not both.any():
-            return Estimate(math.nan, math.nan, math.nan)
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property
@@ -265,8 +263,7 @@ class Comparison:
     @property
     def note(self) -> str:
         """How to read the numbers, in short: the lines below the table."""
-        several = [f"{agent} ({count})" for agent, count in self.trainings.items() if count > 1]
-        trainings = f"; of {', '.join(several)} over trainings, too" if several else ""
+        trainings = f"; of {self._several} over trainings, too" if self._several else ""
         return (
             f"{self._played} Medians (of shares means) with 95 % intervals over episodes, NOT over "
             f"trainings{trainings}. k of {self._episodes}: as many have a value. --explain (in "
@@ -274,8 +271,12 @@ class Comparison:
         )
 
     @property
+    def _several(self) -> str:
+        """The agents with several trainings, and how many; empty without any."""
+        return ", ".join(f"{agent} ({n})" for agent, n in self.trainings.items() if n > 1)
+
+    @property
     def _played(self) -> str:
-        """What was played, in a sentence."""
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         return (
             f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, "
@@ -288,12 +289,12 @@ class Comparison:
         shown, time = self._shown, MEASURES["time_to_target"].label
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         of_all = ", ".join(one.label for one in shown if not one.successes_only)
-        several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
+        near = self._first.tolerance
+        within = "as the environment says" if math.isnan(near) else f"within {near:g}"
         sentences = [
             self._played,
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals, Wilson's of a "
-            "share in one training; lengths in segment lengths; at the target: "
-            f"{_within(self._first.tolerance)}.",
+            f"share in one training; lengths in segment lengths; at the target: {within}.",
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
             f"{self._episodes} have a value (none where the hand started there).",
         ]
@@ -304,9 +305,9 @@ class Comparison:
                 f"Differences are of the same episodes of both ({time}: where both ended there)."
             )
         sentences.append(f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all.")
-        if several:
+        if several := self._several:
             over = "replicate over trainings (so many) and episodes."
-            sentences.append(f"The intervals of {', '.join(several)} {over}")
+            sentences.append(f"The intervals of {several} {over}")
         sentences.append(
             f"The intervals{' of the others' if several else ''} replicate over episodes (starts "
             "and targets), NOT over training seeds: each agent is the result of one training, or "
@@ -362,13 +363,10 @@ class Comparison:
         """
         from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 
-        movements = {
-            agent: [
-                PlottedMovement(one.seen_hands[:, :2], one.target[:2], one.speeds)
-                for one in episodes
-            ]
-            for agent, episodes in self.recorded.items()
-        }
+        def plotted(one: Episode) -> PlottedMovement:
+            return PlottedMovement(one.seen_hands[:, :2], one.target[:2], one.speeds)
+
+        movements = {agent: list(map(plotted, of)) for agent, of in self.recorded.items()}
         one = self._first
         return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
 
@@ -387,7 +385,6 @@ class Comparison:
         summary = self.summary.assign(
             training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
         )
-        # An interrupted run leaves the old file or the new one, never half of it.
         written = [
             write_atomically(out / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
             for name, frame in (("episodes", self.episodes), ("summary", summary))
@@ -436,10 +433,9 @@ class Comparison:
 def _in_words(
     measure: Measure, words: tuple[str, str, str], differences: Mapping[str, Estimate]
 ) -> str:
-    """Return how much an agent differs from others, equal differences together.
+    """Return how much an agent differs from others: "0.06 s slower than ppo [−0.04, 0.16]".
 
-    The `words` are the unit, and those for a higher and a lower value: "0.06 s slower than ppo
-    [−0.04, 0.16]".
+    Those from which it differs alike are together; for `words` see `_DIFFERENCES`.
     """
     unit, higher, lower = words
     groups: dict[tuple[str, str], list[str]] = {}
@@ -456,21 +452,7 @@ def _in_words(
     return "; ".join(texts)
 
 
-def _within(tolerance: float) -> str:
-    return "as the environment says" if math.isnan(tolerance) else f"within {tolerance:g}"
-
-
-def _focus(agents: Sequence[ResolvedAgent], asked: Sequence[str]) -> tuple[str, ...]:
-    """Return the labels of the agents to compare."""
-    labels = [agent.label for agent in agents]
-    for name in asked:
-        require_choice("focus", name, dict.fromkeys(labels))
-    own = [agent.label for agent in agents if agent.knowledge.kind == "yours"]
-    return tuple(dict.fromkeys(asked or own or labels[:1]))
-
-
 def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:
-    """Return a row per agent, training and episode."""
     tables = []
     for agent, episodes in zip(agents, played):
         who = {"agent": agent.label, "training_seed": agent.training_seed}

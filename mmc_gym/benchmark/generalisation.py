@@ -1,8 +1,7 @@
 """Generalisation: how good an agent is at strengths of perturbations that its training never had.
 
 A policy that was trained on ranges of strengths is judged inside these ranges, between them, beyond
-them, and in combinations of perturbations that it only met one at a time.  Regret is how much more
-often an agent to compare with, such as one that is given the truth, ends at the target.
+them, and in combinations of perturbations that it only met one at a time.
 
 Sources: Kirk, Zhang, Grefenstette & Rocktäschel (2023), A survey of zero-shot generalisation in
 deep reinforcement learning, JAIR 76:201, https://arxiv.org/abs/2111.09794.  Benjamins et al.
@@ -16,7 +15,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.names import BASELINE, FAMILIES, Change, Range, as_change
@@ -45,21 +44,18 @@ class Judged(NamedTuple):
 
 def trained_ranges(cards: Iterable[PolicyCard | None]) -> Ranges:
     """Return the ranges of the first training that had any; empty if none had."""
+    found: dict[str, list[Range]] = defaultdict(list)
     for card in cards:
         arguments = card.hyperparameters.get("env_kwargs") or {} if card else {}
-        if found := _ranges(arguments.get("perturbations", ())):
-            return found
-    return {}
-
-
-def _ranges(perturbations: Any) -> Ranges:
-    several = isinstance(perturbations, list | tuple)
-    found: dict[str, list[Range]] = defaultdict(list)
-    for change in map(as_change, perturbations if several else [perturbations]):
-        mixture = change.perturbation
-        for one in mixture.options if isinstance(mixture, OneOf) else (change,):
-            if one is not None and one.family is not None and one.range is not None:
-                found[one.family.name].append(one.range)
+        perturbations = arguments.get("perturbations", ())
+        several = isinstance(perturbations, list | tuple)
+        for change in map(as_change, perturbations if several else [perturbations]):
+            mixture = change.perturbation
+            for one in mixture.options if isinstance(mixture, OneOf) else (change,):
+                if one is not None and one.family is not None and one.range is not None:
+                    found[one.family.name].append(one.range)
+        if found:
+            break
     return {name: sorted(ranges, key=lambda one: one.low) for name, ranges in found.items()}
 
 
@@ -83,9 +79,9 @@ def place_of(scenario: str, ranges: Ranges) -> Judged | None:
 def protocol(cards: Iterable[PolicyCard | None]) -> list[str]:
     """Return the scenarios of the protocol: no change, each family's strengths, and pairs.
 
-    The ranges are those of the first of these cards that has any.
-    Strengths are the ends and the middle of each range, the middle of each gap, and `BEYOND`.  Each
-    family is combined with the next one, both in the middle of their last ranges.
+    Of the first card with ranges.  Strengths are the ends and the middle of each range, the middle
+    of each gap, and `BEYOND`.  Each family is combined with the next one, both in the middle of
+    their last ranges.
     """
     ranges = trained_ranges(cards)
     if not ranges:
@@ -109,11 +105,8 @@ def protocol(cards: Iterable[PolicyCard | None]) -> list[str]:
         middles.append(FAMILIES[name].with_strength(int(middle) if own[0].whole else middle))
     pairs = zip(middles, [*middles[1:], *middles[:1]], strict=True)
     combined = [parse_scenario(f"{one.name}+{other.name}") for one, other in pairs if one != other]
-    return [BASELINE, *(one.name for one in (*singles, *combined) if _is_possible(one))]
-
-
-def _is_possible(scenario: Scenario) -> bool:
-    """Tell whether there is such an environment."""
-    with suppress(UserError), closing(scenario.make()):
-        return True
-    return False
+    found = [BASELINE]
+    for one in (*singles, *combined):
+        with suppress(UserError), closing(one.make()):  # there may be no such environment
+            found.append(one.name)
+    return found

@@ -15,18 +15,17 @@
 
 All environments that all agents have attempted count, with equal weight whatever their number of
 instances.  An agent that could not act, or failed, had no success.  Agents with the same success
-and the same time share a rank; intervals over training seeds and instances say which differences
-mean something, see `statistics`.
+and the same time share a rank.  For the intervals see `statistics`.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -59,7 +58,7 @@ def rank_agents(
 
     The `episodes` are those of `read_episodes`, and `not_played` are cells that were attempted but
     have none.  If the `baseline`, with which all are compared, did not play, improvement is NaN.
-    The `controls` are the control modes by agent; without them all are ranked together.
+    Without `controls`, the control modes by agent, all are ranked together.
 
     Returns:
         A row for each agent, the best of each block first: rank, agent, control, success, settled
@@ -74,30 +73,31 @@ def rank_agents(
     success, settled = (
         Bootstrap.of(scores, value, resamples, seed) for value in ("success", "settled")
     )
-    exact = _mean_over_environments(scores, "success", "mean").round(_DIGITS)
-    times = _mean_over_environments(scores, "time_to_target", "median").round(_DIGITS)
+    exact = _mean_over_environments(scores, "success", "mean")
+    times = _mean_over_environments(scores, "time_to_target", "median")
     lost = Counter(one.agent for one in missing if one.environment in set(scores["environment"]))
     rows = []
     for agent in success.scores.values:
-        found = success.estimate(agent, "mean")
+        found = success.estimate(agent)
         improvement = Estimate(math.nan, math.nan, math.nan)
         if baseline in success.scores.values:
             two = [name for name in settled.scores.values if name in (agent, baseline)]
             pair = replace(settled.scores, values={one: settled.scores.values[one] for one in two})
             improvement = Bootstrap(pair, resamples, seed).improvement(agent, baseline)
-        row = {
-            "agent": agent,
-            "control": (controls or {}).get(agent, ""),
-            **_columns("success", found._replace(estimate=float(exact[agent]))),
-            **_columns("settled", settled.estimate(agent)),
-            **_columns("improvement", improvement),
-            "time_to_target": float(times[agent]),
-            "training_seeds": success.scores.seeds[agent],
-            "environments": len(success.scores.instances),
-            "instances": sum(success.scores.instances),
-            "not_played": lost[agent],
-        }
-        rows.append(row)
+        rows.append(
+            {
+                "agent": agent,
+                "control": (controls or {}).get(agent, ""),
+                **_columns("success", found._replace(estimate=float(exact[agent]))),
+                **_columns("settled", settled.estimate(agent)),
+                **_columns("improvement", improvement),
+                "time_to_target": float(times[agent]),
+                "training_seeds": success.scores.seeds[agent],
+                "environments": len(success.scores.instances),
+                "instances": sum(success.scores.instances),
+                "not_played": lost[agent],
+            }
+        )
     by, ascending = ["success", "time_to_target"], [False, True]  # NaN is last
     ordered = pd.DataFrame(rows).sort_values(by, ascending=ascending)
     blocks = [block for _, block in ordered.groupby("control", sort=False)]
@@ -112,10 +112,9 @@ def rank_agents(
 
 
 def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
-    """Return the scores of all policies, without the ideal hand.
+    """Return a row for each episode of each policy but the ideal hand, played or not.
 
-    A row for each episode of each policy, played or not: agent, training_seed, environment,
-    instance, success, time_to_target, settled.
+    Columns agent, training_seed, environment, instance, success, time_to_target, settled.
     """
     played = episodes[episodes["agent"] != REFERENCE]
     scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
@@ -129,8 +128,8 @@ def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ())
     empty = [
         {**key._asdict(), "instance": instance, **nothing}
         for key in not_played
-        for instance in instances.get(key.environment, ())
         if key.agent != REFERENCE
+        for instance in instances.get(key.environment, ())
     ]
     if empty:
         scores = pd.concat([scores, pd.DataFrame(empty)], ignore_index=True)
@@ -159,12 +158,10 @@ def _columns(name: str, found: Estimate) -> dict[str, float]:
 def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -> pd.Series[float]:
     """Return, by agent, the mean over environments of the mean or median over episodes."""
     by_environment = scores.groupby(["agent", "environment"])[column].agg(statistic)
-    mean: pd.Series[float] = by_environment.groupby("agent").mean()
-    return mean
+    return cast("pd.Series[float]", by_environment.groupby("agent").mean().round(_DIGITS))
 
 
-RANKING = "ranking.csv"
-"""The ranking in a store's folder, as `rank_agents` returns it, for other programs."""
+RANKING = "ranking.csv"  # in a store's folder, as `rank_agents` returns it, for other programs
 
 
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
@@ -177,8 +174,8 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         console.print(text_for(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
         return pd.DataFrame()
     episodes = read_episodes(folder, ["success", "time_to_target", "duration"])
+    controls = {agent: manifest.control(agent) for agent in manifest.agents}
     try:
-        controls = {agent: manifest.control(agent) for agent in manifest.agents}
         lost = [one.key for one in manifest.not_played]
         ranking = rank_agents(episodes, lost, controls=controls)
     except UserError as error:
@@ -202,22 +199,15 @@ def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
     headings += [Heading("time", "s"), Heading("seeds"), *[Heading("not\nplayed")] * shows_lost]
     rows = []
     for row in ranking.to_dict("records"):
-        shares = ("success", "settled", *["improvement"] * is_compared)
+        cells = [Cell(str(row["agent"])), *[Cell(str(row["control"]))] * has_blocks]
+        for name in ("success", "settled", *["improvement"] * is_compared):
+            ends = interval(row[f"{name}_low"], row[f"{name}_high"], 3)
+            cells.append(Cell(number(row[name], 3), (ends,) if ends else ()))
+        cells.append(Cell(number(row["time_to_target"], 2)))
         counts = ("training_seeds", *["not_played"] * shows_lost)
-        cells = (
-            Cell(str(row["agent"])),
-            *[Cell(str(row["control"]))] * has_blocks,
-            *(_with_interval(row, name) for name in shares),
-            Cell(number(row["time_to_target"], 2)),
-            *(Cell(str(row[name] or "–")) for name in counts),
-        )
-        rows.append(Row(str(row["rank"]), cells))
+        cells += [Cell(str(row[name] or "–")) for name in counts]
+        rows.append(Row(str(row["rank"]), tuple(cells)))
     return Table(tuple(headings), tuple(rows), _note(manifest, ranking))
-
-
-def _with_interval(row: Mapping[Hashable, Any], name: str) -> Cell:
-    ends = interval(row[f"{name}_low"], row[f"{name}_high"], 3)
-    return Cell(number(row[name], 3), (ends,) if ends else ())
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
@@ -230,11 +220,9 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
     versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
     mixed = f" Cells were played with several versions: {'; '.join(versions)}." if versions else ""
-    if manifest.changed:
-        mixed += (
-            f" These have changed since some of their cells were played: "
-            f"{', '.join(manifest.changed)}; play them again in all scenarios."
-        )
+    if changed := ", ".join(manifest.changed):
+        mixed += f" These have changed since some of their cells were played: {changed}; "
+        mixed += "play them again in all scenarios."
     return (
         f"{scenarios}{partly}, {one['instances']} episodes of each training, the same for all. "
         "Ranked by success, each scenario weighing the same, then by time (mean of medians). "

@@ -3,9 +3,9 @@
     cells of the grid  ->  run_grid  ->  store  ->  ranking
 
 Cells that are in the store already, made with the same settings, are not played again: so an
-interrupted run resumes, and agents and environments can be added.  If the weights of an agent or
-the file of its module change, its cells are played again.  If versions of libraries change, they
-are not: the manifest names all versions.
+interrupted run resumes, and agents and environments can be added.  Cells are played again if the
+weights of their agent or the file of its module change, not if versions of libraries change: the
+manifest names all versions.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import platform
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
@@ -54,13 +54,7 @@ from mmc_gym.benchmark.suite import (
 )
 from mmc_gym.envs.scenarios import Playable
 from mmc_gym.interface import CannotActError, ReachInterface, read_attribute
-from mmc_gym.measures import (
-    MEASURES,
-    Episode,
-    Measure,
-    episode_seeds,
-    run_episodes,
-)
+from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, run_episodes
 from mmc_gym.measures.catalogue import digest, own_measures, register
 from mmc_gym.measures.reaching import success
 
@@ -110,12 +104,11 @@ class BenchmarkCell:
         }
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """The result of a cell."""
 
     not_played: NotPlayed | None = None  #: why it was skipped or failed; None if it was played
-    files: Mapping[str, bytes] = field(default_factory=dict)  #: by kind; none unless played
+    files: Mapping[str, bytes] = {}  #: by kind; none unless played
     warned: tuple[str, ...] = ()  #: texts of each `MismatchWarning`, which workers do not show
 
 
@@ -124,13 +117,13 @@ def run_cell(cell: BenchmarkCell) -> Outcome:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MismatchWarning)
         outcome = _outcome(cell)
-    warned = []
+    warned: dict[str, None] = {}
     for one in caught:
         if issubclass(one.category, MismatchWarning):
-            warned.append(str(one.message))
+            warned[str(one.message)] = None
         else:
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-    return replace(outcome, warned=tuple(dict.fromkeys(warned)))
+    return outcome._replace(warned=tuple(warned))
 
 
 def _outcome(cell: BenchmarkCell) -> Outcome:
@@ -169,11 +162,18 @@ def software() -> dict[str, str]:
 
 
 def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
-    """Return the episodes of a cell and its control mode."""
     instances = cell.scenario.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
     if cell.agent.is_reference:
-        return _play_reference(cell, seeds, instances), ""
+        env: Any = cell.scenario.make()
+        if cell.scenario.family or not has_reference(env):
+            raise CannotActError(
+                "targets wait for the hand, and an ideal one has no arm to perturb"
+            )
+        anybody = RandomAgent(ReachInterface.of(env))  # for the starts and targets
+        with closing(cell.scenario.make_vec(len(seeds)) or env) as played:
+            episodes = run_episodes(anybody, played, seeds, options=instances)
+        return minimum_jerk_episodes(episodes), ""
     asked = {} if cell.control is None else {"control": cell.control}
     env, player = make_player(cell.agent, cell.scenario.with_arguments(**asked))
     with closing(Arms(cell.scenario)) as arms:
@@ -181,24 +181,11 @@ def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
     return episodes, str(read_attribute(env, "control"))
 
 
-def _play_reference(
-    cell: BenchmarkCell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
-) -> tuple[Episode, ...]:
-    """Play the ideal hand, which no perturbation touches, with the starts and targets of all."""
-    env: Any = cell.scenario.make()
-    if cell.scenario.family or not has_reference(env):
-        raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
-    anybody = RandomAgent(ReachInterface.of(env))
-    with closing(cell.scenario.make_vec(len(seeds)) or env) as played:
-        return minimum_jerk_episodes(run_episodes(anybody, played, seeds, options=instances))
-
-
-@dataclass(frozen=True)
-class Progress:
+class Progress(NamedTuple):
     """The progress of a benchmark."""
 
     done: int  #: number of cells that are finished, those of earlier runs included
-    total: int  #: number of cells
+    total: int
     key: CellKey | None = None  #: name of the cell that was finished last; None at the start
     failed: NotPlayed | None = None  #: why that cell failed; None if it did not
 
@@ -248,11 +235,28 @@ def benchmark(
     settings = {name: _settings(one) for name, one in scenarios.items()}
     store = check_folder(out, "out")
     begun = update_manifest(store, partial(_joined, store, settings, found, episodes, seed))
-    cells = _cells(found, scenarios.values(), episodes, seed, asked)
-    kept = {one.key for one in cells if cell_facts(store, one.key, one.settings) is not None}
-    missing = [one for one in cells if one.key not in kept]
-    finished: dict[CellKey, NotPlayed | None] = dict.fromkeys(kept)
-    reused = len(kept)
+    first: dict[str, int | None] = {}  # of each agent the first training keeps paths
+    for one in sorted(found, key=lambda one: one.training_seed or 0):
+        first.setdefault(one.label, one.training_seed)
+    cells = [
+        BenchmarkCell(
+            agent=one,
+            scenario=scenario,
+            episodes=episodes,
+            seed=seed,
+            control=asked,
+            keeps_paths=one.training_seed == first[one.label],
+            measures=own_measures(),
+        )
+        for scenario in scenarios.values()
+        for one in found
+        if not (one.is_reference and scenario.family)  # no perturbation touches it
+    ]
+    finished: dict[CellKey, NotPlayed | None] = {
+        one.key: None for one in cells if cell_facts(store, one.key, one.settings) is not None
+    }
+    missing = [one for one in cells if one.key not in finished]
+    reused = len(finished)
     on_progress(Progress(reused, len(cells)))
 
     def keep(index: int, outcome: Outcome) -> None:
@@ -281,33 +285,6 @@ def benchmark(
     return manifest
 
 
-def _cells(
-    agents: Sequence[ResolvedAgent],
-    scenarios: Iterable[Playable],
-    episodes: int,
-    seed: int,
-    control: str | None,
-) -> list[BenchmarkCell]:
-    """Return a cell for each agent in each scenario."""
-    first: dict[str, int | None] = {}  # of each agent the first training keeps paths
-    for one in sorted(agents, key=lambda one: one.training_seed or 0):
-        first.setdefault(one.label, one.training_seed)
-    return [
-        BenchmarkCell(
-            agent=one,
-            scenario=scenario,
-            episodes=episodes,
-            seed=seed,
-            control=control,
-            keeps_paths=one.training_seed == first[one.label],
-            measures=own_measures(),
-        )
-        for scenario in scenarios
-        for one in agents
-        if not (one.is_reference and scenario.family)  # no perturbation touches it
-    ]
-
-
 def _joined(
     out: Path,
     scenarios: Mapping[str, dict[str, Any]],
@@ -330,30 +307,23 @@ def _joined(
         for kept in [each for each in policies if each.training_seed == one.training_seed]:
             _require_same(out, f"agent {one.label}", kept.source, one.source_name)
             policies.remove(kept)  # it may have been trained further
-        known = Policy(
-            training_seed=one.training_seed,
-            source=one.source_name,
-            name=one.name,
-            knowledge=one.knowledge,
-            training_steps=one.training_steps,
+        policies.append(
+            Policy(
+                training_seed=one.training_seed,
+                source=one.source_name,
+                name=one.name,
+                knowledge=one.knowledge,
+                training_steps=one.training_steps,
+            )
         )
-        policies.append(known)
     # Measures that only earlier runs knew keep their columns, and so their facts.
-    measures = {name: one.facts for name, one in MEASURES.items()}
-    return manifest.model_copy(
-        update={
-            "environments": environments,
-            "agents": agents,
-            "measures": manifest.measures | measures,
-        }
-    )
+    measures = manifest.measures | {name: one.facts for name, one in MEASURES.items()}
+    known = {"environments": environments, "agents": agents, "measures": measures}
+    return manifest.model_copy(update=known)
 
 
 def _settings(scenario: Playable) -> dict[str, Any]:
-    """Return the settings of a scenario with those of its environment, see `Manifest`.
-
-    A strength that the arm cannot have is refused here, before anything is played.
-    """
+    """Return the settings of a scenario and its environment, which is refused if impossible."""
     with closing(scenario.make()) as env:
         world: Any = env.unwrapped
         tolerance = getattr(world, "success_distance", math.nan)

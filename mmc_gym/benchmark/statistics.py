@@ -8,28 +8,23 @@
 Each resample draws training seeds of every agent and instances, with replacement, as many as there
 are.  The score of seed s at instance i then counts w_s u_i times.  So the interval covers that
 another training gives another policy, and that other starts and targets are easier or harder.
-Episodes of one policy are never drawn as if each came from its own training.
 
     paired        The u_i are the same for all agents.  What makes an instance hard for all of them
                   cancels in their differences.
     stratified    Each environment counts equally, whatever its number of instances.
-    shared        The u_i are the same for all environments with the same number of instances.  The
-                  benchmark draws the i-th start and target from the same seed everywhere, so what
-                  is hard without perturbation is hard under all.  With separate draws that would
-                  seem to average out, and 95 % intervals would cover only 50 to 70 %.
+    shared        The u_i are the same for all environments with the same number of instances: the
+                  benchmark draws the i-th start and target from the same seed everywhere.  With
+                  separate draws 95 % intervals would cover only 50 to 70 %.
     seeds         A seed is one policy: it is drawn in all environments or in none.
     no training   An untrained agent has one policy, so only instances are drawn.  A single trained
                   policy is treated alike: its interval does not cover other trainings.
-    one value     A single policy with values at a single instance has no interval: all draws give
-                  the same value, which says nothing about others.
+    one value     A single policy with values at a single instance has no interval.
     shares        The share of episodes that a single policy succeeds in, in one environment, has
                   Wilson's interval instead: after 0 of 20 a bootstrap gives [0, 0], Wilson's is
                   [0, 0.16].  In several environments it has the mean of these if no resample
-                  differs, as all episodes of each environment are alike.  Two shares whose
-                  episodes differ alike in all n pairs may differ otherwise in as many as Wilson's
-                  interval of 0 of n says: after 20 equal pairs [−0.16, 0.16].
-
-A plain sample is the simplest case: one policy in one environment (`sample_interval`).
+                  differs.  Two shares whose episodes differ alike in all n pairs may differ
+                  otherwise in as many as Wilson's interval of 0 of n says: after 20 equal pairs
+                  [−0.16, 0.16].
 
 Source: Agarwal, Schwarzer, Castro, Courville & Bellemare (2021), Deep reinforcement learning at the
 edge of the statistical precipice, NeurIPS 34, https://arxiv.org/abs/2108.13264.  Unlike there,
@@ -111,12 +106,13 @@ def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
         tables = np.split(mine[order], len(policies) * np.cumsum(sizes)[:-1])
         places[str(name)] = [table.reshape(len(policies), -1) for table in tables]
         count[str(name)] = 0 if policies.tolist() == [-1] else len(policies)
-    found = {}
-    for column in names:
+
+    def scores_of(column: str) -> Scores:
         scores = frame[column].to_numpy(dtype=np.float64)
         values = {name: tuple(scores[table] for table in tables) for name, tables in places.items()}
-        found[column] = Scores(sizes, values, count)
-    return found
+        return Scores(sizes, values, count)
+
+    return {column: scores_of(column) for column in names}
 
 
 @lru_cache(maxsize=32)
@@ -134,10 +130,7 @@ def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
 def _episode_counts(
     seed: int, agent: int, shape: tuple[int, int], resamples: int
 ) -> NDArray[np.unsignedinteger]:
-    """Return how often each episode of an agent is drawn, (policies · instances, R + 1).
-
-    The `shape` is (policies, instances) of one environment.
-    """
+    """Return how often each of (policies · instances) episodes is drawn, (…, R + 1)."""
     policies = _counts((seed, _POLICIES, agent), shape[0], resamples)
     instances = _counts((seed, _INSTANCES, shape[1]), shape[1], resamples)
     counts = (policies.T[:, None] * instances.T).reshape(math.prod(shape), -1)
@@ -227,8 +220,7 @@ class Bootstrap:
         """Estimate the probability that a policy of `agent` scores higher than one of `other`.
 
         Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of each,
-        at the same instance.  Pairs in which a score is NaN are left out, and environments without
-        any.  ½ for an agent and its copy.
+        at the same instance.  Pairs in which a score is NaN are left out.
         """
         weights = self.policies[agent][:, :, None] * self.policies[other][:, None]
         pairs = weights.reshape(len(weights), -1)
@@ -244,7 +236,6 @@ class Bootstrap:
             return Estimate.of(self._where_it_varies(total / counted, agent, other))
 
     def _where_it_varies(self, found: Floats, *agents: str) -> Floats:
-        """Return a distribution, its resamples NaN if they cannot vary for one of the agents."""
         if not all(map(self._varies, agents)):
             found[1:] = np.nan
         return found
@@ -255,26 +246,27 @@ class Bootstrap:
         if np.any([table.any(axis=1) for table in known], axis=0).sum() > 1:
             return True
         # Environments with as many instances share their draw.
-        found = [(table.shape[1], table.any(axis=0)) for table in known if table.any()]
-        drawn = [(count, np.flatnonzero(has_value).tolist()) for count, has_value in found]
-        return any(len(one[1]) > 1 or one != drawn[0] for one in drawn)
+        found = ((table.shape[1], table.any(axis=0)) for table in known)
+        return len({(count, at) for count, any_ in found for at in np.flatnonzero(any_)}) > 1
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
-        """Yield each draw of instances, and of each agent the tables whose environments share it.
+        """Yield each draw of instances, and each agent's tables of environments that share it.
 
-        Shapes are (R + 1, instances), and (environments, policies, instances) for each agent.
+        Shapes are (R + 1, instances) and (environments, policies, instances).
         """
         for count, draws in self._drawn.items():
             tables = [self.scores.values[agent] for agent in agents]
             yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
 
     def distribution(self, agent: str, statistic: Statistic) -> Floats:
-        """Return an agent's statistic in the data, then in each resample, (R + 1,).
-
-        The resamples of a single value are NaN.
-        """
-        found = self._means(agent) if statistic == "mean" else self._medians(agent)
-        return self._where_it_varies(found, agent)
+        """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
+        if statistic == "mean":
+            return self._where_it_varies(self._means(agent), agent)
+        (table,) = self.scores.values[agent]
+        number = list(self.scores.values).index(agent)
+        resamples = len(self.policies[agent]) - 1
+        counts = _episode_counts(self._seed, number, table.shape, resamples)
+        return self._where_it_varies(_weighted_medians(table, counts), agent)
 
     def _means(self, agent: str) -> Floats:
         policies = self.policies[agent]
@@ -289,12 +281,6 @@ class Bootstrap:
         with np.errstate(invalid="ignore"):
             return np.clip(total / weight, *ends)  # rounding may leave the range
 
-    def _medians(self, agent: str) -> Floats:
-        (table,) = self.scores.values[agent]
-        number = list(self.scores.values).index(agent)
-        resamples = len(self.policies[agent]) - 1
-        return _weighted_medians(table, _episode_counts(self._seed, number, table.shape, resamples))
-
 
 def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) -> Floats:
     """Return Σ_s w_s Σ_i u_i x_si in each resample and environment, (R, environments).
@@ -304,15 +290,14 @@ def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) ->
     """
     columns = tables.reshape(-1, tables.shape[-1]).T.astype(np.float64)
     by_policy = (instances @ columns).reshape(len(instances), -1, policies.shape[1])
-    sums: Floats = np.einsum("rep,rp->re", by_policy, policies)
-    return sums
+    return np.asarray(np.einsum("rep,rp->re", by_policy, policies))
 
 
 def _shares_of_wins(ours: Floats, others: Floats, instances: Floats, pairs: Floats) -> Floats:
     """Return P(X > Y) + ½ P(X = Y) in each resample and environment, (R, environments).
 
-    Scores X and Y are (environments, policies, instances); weights are (R, instances), and of all
-    pairs of policies (R, pairs).  NaN without pairs in which both have a score.
+    Scores X and Y are (environments, policies, instances); weights (R, instances) and (R, pairs of
+    policies).  NaN without pairs in which both have a score.
     """
     mine, theirs = ours[:, :, None], others[:, None]
     compared = ~np.isnan(mine) & ~np.isnan(theirs)
@@ -322,11 +307,7 @@ def _shares_of_wins(ours: Floats, others: Floats, instances: Floats, pairs: Floa
 
 
 def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Floats:
-    """Return the median in each resample, (R,): the mean of two values where these share it.
-
-    The `table` has the values of one environment, (policies, instances), NaN for none; `counts` are
-    those of `_episode_counts`.
-    """
+    """Return the median of (policies, instances) in each resample of `_episode_counts`, (R,)."""
     values = table.ravel()
     order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
     if not len(order):
@@ -343,10 +324,7 @@ def _weighted_medians(table: Floats, counts: NDArray[np.unsignedinteger]) -> Flo
 
 @dataclass(frozen=True)
 class Interval:
-    """A statistic of `count` values with its 95 % interval; `missing` NaNs are left out.
-
-    The estimate is NaN without values, and the ends of the interval for fewer than two.
-    """
+    """A statistic of `count` values with its 95 % interval; `missing` NaNs are left out."""
 
     estimate: float
     low: float
@@ -376,9 +354,8 @@ def sample_interval(
     """Return the mean or median of `values` with its 95 % interval: percentile bootstrap.
 
     Percentile, not BCa: the jackknife in BCa fails for the median.  The mean of zeros and ones has
-    Wilson's interval instead, if it is of one sample.  There is a value per episode, (episodes,),
-    or there are several trainings on the same episodes, (trainings, episodes), and then both are
-    resampled.  NaNs are left out and counted.
+    Wilson's interval instead, if it is of one sample.  Values are (episodes,), or (trainings,
+    episodes) of several trainings on the same episodes, and then both are resampled.
 
     Source: Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
 
@@ -406,8 +383,8 @@ def sample_interval(
 def resampled_means(samples: ArrayLike, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
     """Return the mean over a sample (n, ...), then that of each resample, (R + 1, ...).
 
-    NaNs are left out.  Whatever is computed from each row has the `percentile_interval` of its rows
-    but the first, such as a fit to a mean curve.  A sample of one is not resampled: (1, ...).
+    Whatever is computed from each row, such as a fit to a mean curve, has the `percentile_interval`
+    of its rows but the first.  NaNs are left out, and a sample of one is not resampled: (1, ...).
     """
     table = np.asarray(samples, dtype=np.float64)
     resamples = resamples if len(table) > 1 else 0
@@ -425,9 +402,8 @@ def success_interval(successes: ArrayLike, episodes: int) -> Interval:
 
     A resample draws training seeds, and for each of them a binomial number of successes in so many
     `episodes`.  Drawing seeds alone would give ten trainings with 499 successes in 500 episodes an
-    interval without width.  A single training has none: nothing is known of other trainings.
-    The `successes` are fractions of the episodes of each training, (seeds,); NaNs are left out and
-    counted.
+    interval without width.  A single training has none.  The `successes` are fractions of the
+    episodes of each training, (seeds,).
 
     >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
     >>> found.estimate, found.low < 0.997, found.high
@@ -445,8 +421,8 @@ def success_interval(successes: ArrayLike, episodes: int) -> Interval:
 def _present(values: ArrayLike) -> tuple[Floats, int]:
     """Return the values that are not NaN, and the number of NaNs."""
     sample = np.asarray(values, dtype=np.float64)
-    missing = np.isnan(sample)
-    return sample[~missing], int(missing.sum())
+    present = sample[~np.isnan(sample)]
+    return present, sample.size - present.size
 
 
 def _no_interval(present: Floats, missing: int) -> Interval:
@@ -457,9 +433,8 @@ def _no_interval(present: Floats, missing: int) -> Interval:
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
     """Return a row per agent and measure: agent, measure, unit, statistic, and an `Interval`.
 
-    The `episodes` have one row per agent and episode, with a column "agent" and one per measure.
-    Agents with several trainings need a column "training_seed", and the same order of episodes in
-    each training.
+    The `episodes` have a row per agent and episode, with a column "agent" and one per measure;
+    with several trainings of an agent also "training_seed", and the same episodes in each.
     """
     rows = []
     for agent, group in episodes.groupby("agent", sort=False):
@@ -476,8 +451,8 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
 def expanded_tails(count: int) -> tuple[float, float]:
     """Return between which quantiles of resamples of few units 95 % intervals are.
 
-    Percentile intervals of a few units are too narrow; these are as wide as Student's t asks for
-    (Hesterberg 2015, Am. Stat. 69, 371).  For many units they are the plain `TAILS`.
+    The plain `TAILS` are too narrow; these are as wide as Student's t asks for (Hesterberg 2015,
+    Am. Stat. 69, 371).
     """
     if count < 2:
         return TAILS

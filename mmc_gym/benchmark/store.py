@@ -33,7 +33,6 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
-SCHEMA_VERSION: Literal[4] = 4
 MANIFEST = "manifest.json"
 EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
@@ -77,9 +76,8 @@ def _slug(name: str) -> str:
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return the columns of a table with a row for each episode.
 
-    They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), duration (s),
-    and one for each of `MEASURES`, NaN where an episode has no such value.  In space start_z and
-    target_z, too.
+    They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), in space
+    start_z and target_z, duration (s), and one for each of `MEASURES`, NaN without a value.
     """
     measured = [measure_all(episode) for episode in episodes]
     size = episodes[0].target.size if episodes else 2
@@ -100,8 +98,8 @@ def episodes_file(
     """Return the content of a cell's file of episodes, one for each instance, in order.
 
     Columns agent, training_seed (missing without training), environment, instance (0, 1, …), and
-    those of `episode_columns`.  The `settings`, everything that the cell was made with, and other
-    `facts` about it are ready for JSON; `cell_facts` compares the settings.
+    those of `episode_columns`.  Its `settings`, which `cell_facts` compares, and other `facts`
+    about it are ready for JSON.
     """
     columns = {
         **_key_columns(key, len(episodes)),
@@ -117,8 +115,8 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
     target_x, target_y (segment lengths), in space hand_z and target_z; all but the first five
-    float32.  Under a visuomotor rotation also cursor_x, cursor_y: distance and success are the
-    cursor's.  Elsewhere it is the hand itself and not written twice; `read_paths` repeats it.
+    float32.  Under a visuomotor rotation also cursor_x, cursor_y; elsewhere the cursor is the hand
+    itself and not written twice, `read_paths` repeats it.
     """
     played = list(episodes.values())
     hands = np.concatenate([episode.hands for episode in played])
@@ -181,16 +179,11 @@ def _checksum(schema: pa.Schema, content: str) -> str:
 
 
 def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Read a cell's table, its settings and facts.
-
-    Raise a `UserError` that names the file if it is damaged, not ours, or of another cell.
-    """
+    """Read a cell's table, settings and facts; refuse one that is damaged or of another cell."""
     try:
         table, kept = read_table(path.read_bytes(), columns)
-        if (
-            len(table)
-            and (stem := CellKey(*(table[one][0].as_py() for one in _KEY)).stem) != path.stem
-        ):
+        stem = CellKey(*(table[one][0].as_py() for one in _KEY)).stem if len(table) else path.stem
+        if stem != path.stem:
             raise ValueError(f"it is a copy of {stem}{path.suffix}")
         return table, kept
     except (FileNotFoundError, PermissionError):
@@ -214,18 +207,15 @@ def _kept_in(schema: pa.Schema) -> Kept:
         raise ValueError("columns and metadata are not those that the benchmark has written")
     try:
         kept = Kept(**json.loads(content))
+        if not all(isinstance(one, dict) for one in kept):
+            raise TypeError("they must be mappings")
     except (TypeError, RecursionError) as error:
         raise ValueError(f"its metadata are no settings and facts: {error}") from error
-    if not all(isinstance(one, dict) for one in kept):
-        raise ValueError("its metadata are no settings and facts")
     return kept
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write `files` of a cell by kind, and remove its former files of other kinds; none removes it.
-
-    The kinds are `EPISODES` and `PATHS`.
-    """
+    """Write `files` of a cell by kind (`EPISODES`, `PATHS`), and remove its former other files."""
     for kind in (PATHS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
         if kind in files:
@@ -258,13 +248,12 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
 
 
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return all episodes of the store in a folder; `episodes_file` names the columns.
+    """Return all episodes of the store in a folder, with the columns of `episodes_file`.
 
-    Of the columns, read agent, training_seed, environment, instance and `columns`; all if None.
+    Of these, read agent, training_seed, environment, instance and `columns`; all if None.
 
     Raises:
-        UserError: if there are none, or a file is damaged, missing, or of other settings than the
-            others.
+        UserError: if there are none, or a file is damaged, missing, or of other settings.
     """
     folder, shared = Path(folder), dict[str, tuple[Path, Mapping[str, Any]]]()
     chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
@@ -298,18 +287,14 @@ def _require_file(path: Path) -> None:
 
 
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
-    """Return paths of a store, empty if none were kept; `paths_file` names the columns.
-
-    Read those of `cells`, where they were kept; all if None.
-    """
+    """Return the paths of `cells` (all if None) that were kept; `paths_file` names the columns."""
     files = _files(Path(folder), PATHS)
     if cells is not None:
         names = {cell.file_name for cell in cells}
         files = [file for file in files if file.name in names]
     frame = _joined(_read(file)[0] for file in files)
-    if len(frame):
-        for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
-            frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
+    for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")) if len(frame) else ():
+        frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
 
 
@@ -358,7 +343,7 @@ class NotPlayed(_Frozen):
 class Manifest(_Frozen):
     """Everything that a store was made with."""
 
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[4] = 4
     episodes: int  #: in each environment whose trials are not numbered
     seed: int  #: of the starts and targets
     measures: dict[str, dict[str, Any]] = {}  #: by name, see `Quantity.facts`

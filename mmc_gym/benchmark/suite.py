@@ -79,25 +79,25 @@ def find_scenarios(
     else:
         names = [environments] if isinstance(environments, str) else environments
         found = [find_scenario(one) for one in names]
-    chosen = found or list(SCENARIOS.values())
+    chosen: list[Playable] = found or [*SCENARIOS.values()]
     refuse_interface(interface, *chosen)
-    return {one.name: _with_arguments(one, env_kwargs or {}, interface) for one in chosen}
-
-
-def _with_arguments(one: Playable, arguments: Mapping[str, Any], interface: Any) -> Playable:
-    """Return what is to be played with its arguments."""
-    if isinstance(one, OwnEnvironment):
-        return replace(one, interface=interface).with_arguments(**arguments).inspected()
-    one.refuse(arguments, *SET_BY_SCENARIOS)
-    return one.with_arguments(**arguments)
+    arguments = env_kwargs or {}
+    for number, one in enumerate(chosen):
+        if isinstance(one, OwnEnvironment):
+            own = replace(one, interface=interface)
+            chosen[number] = own.with_arguments(**arguments).inspected()
+        else:
+            one.refuse(arguments, *SET_BY_SCENARIOS)
+            chosen[number] = one.with_arguments(**arguments)
+    return {one.name: one for one in chosen}
 
 
 def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, Any], Predictor]:
     """Make the environment in an agent's control mode, and the agent for it.
 
-    Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known:
-    it acts by the environment's default.  A `control` among the arguments of what is played is for
-    agents that act by several control modes, or whose control mode is not known.
+    Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known.
+    A `control` among the arguments of what is played is for agents that act by several control
+    modes, or whose control mode is not known.
 
     Raises:
         CannotActError: if the agent cannot act in the environment.
@@ -140,13 +140,9 @@ def control_note(controls: Mapping[str, str]) -> str:
 
 
 class Arms:
-    """The vector environments of what is played, which agents reset and play in turn.
-
-    They are made when they are needed, and closed together.
-    """
+    """The vector environments of what is played, made when needed and played by agents in turn."""
 
     def __init__(self, played: Playable) -> None:
-        """Own the vector environments of what is played."""
         self._played = played
         self._made: dict[tuple[int, str | None, str], MMCReachVectorEnv] = {}
 
@@ -179,10 +175,9 @@ def play_episodes(
 ) -> tuple[Episode, ...]:
     """Let an agent play: all episodes together, or else one by one.
 
-    An `Agent` plays them together, where there is a vector environment among the `arms`: its
-    actions do not depend on its neighbours.  Anything else with `predict` may take no batches.
-    `env` is the single environment and `player` the agent in it, see `make_player`; `options` are
-    those of its reset, one per episode.  Action times are NaN if they are played together.
+    An `Agent` plays them together, where there is a vector environment among the `arms`; anything
+    else with `predict` may take no batches.  For `env` and `player` see `make_player`, for the rest
+    `run_episodes`.
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
@@ -209,10 +204,9 @@ def play_episodes(
 
 
 def has_reference(env: gym.Env[Any, Any]) -> bool:
-    """Return whether all hands in `env` have the same targets at the same times.
+    """Return whether all hands in `env` have the same targets at the same times, and can succeed.
 
-    They do not where a target moves on when it is reached, as in via points.  And whether a hand
-    alone can succeed: without a success distance only the environment knows.
+    Via points move on when they are reached; without a success distance only the environment knows.
     """
     if math.isnan(getattr(env.unwrapped, "success_distance", 0.0)):
         return False
@@ -221,53 +215,42 @@ def has_reference(env: gym.Env[Any, Any]) -> bool:
 
 
 def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
-    """Return the ideal movements from the starts to the targets of recorded episodes.
+    """Return the ideal movements from the starts to the targets of episodes of any agent.
 
-    Episodes may be of any agent, and those returned have the same lengths, N = 0 joints, and NaN as
-    rewards and action times.
+    They have the same lengths, N = 0 joints, and NaN as rewards and action times.
     """
     if not episodes:
         return ()
     longest = max(len(episode.targets) for episode in episodes)
-    targets = np.stack(
-        [
-            np.pad(episode.targets, ((0, longest - len(episode.targets)), (0, 0)), mode="edge")
-            for episode in episodes
-        ],
-        axis=1,
+    padded = (
+        np.pad(episode.targets, ((0, longest - len(episode.targets)), (0, 0)), mode="edge")
+        for episode in episodes
     )
+    targets = np.stack(list(padded), axis=1)
     starts = np.stack([episode.seen_hands[0] for episode in episodes])
-    hands = np.stack(_follow(starts, targets, episodes[0].control_step), axis=1)
-    return tuple(
-        _episode(episode, hand[: len(episode.hands)])
-        for episode, hand in zip(episodes, hands, strict=True)
-    )
-
-
-def _follow(starts: Floats, targets: Floats, control_step: float) -> list[Floats]:
-    """Return hand positions (episodes, 2) at all times, for targets (times, episodes, 2)."""
     plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
+    control_step = episodes[0].control_step
     movement = begin(starts, targets[0], control_step)
-    hands: list[Floats] = [starts]
+    hands: list[Floats] = [starts]  # at all times, (episodes, 2) each
     for target in targets[:-1]:
         movement = follow(movement, plan.position, target, control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
         movement = step(movement)
         hands.append(np.asarray(plan.position, dtype=np.float64))
-    return hands
-
-
-def _episode(like: Episode, hands: Floats) -> Episode:
-    steps = len(like.rewards)
-    unknown, no_joints = np.full(steps, np.nan), np.zeros((steps + 1, 0))
-    return replace(
-        like,
-        hands=hands,
-        cursors=None,
-        distances=np.linalg.norm(hands - like.targets, axis=-1),
-        joint_angles=no_joints,
-        servo_impulses=no_joints[1:],
-        servo_work=no_joints[1:],
-        rewards=unknown,
-        action_times=unknown,
-    )
+    found = []
+    for episode, path in zip(episodes, np.stack(hands, axis=1), strict=True):
+        steps, own = len(episode.rewards), path[: len(episode.hands)]
+        unknown, no_joints = np.full(steps, np.nan), np.zeros((steps + 1, 0))
+        ideal = replace(
+            episode,
+            hands=own,
+            cursors=None,
+            distances=np.linalg.norm(own - episode.targets, axis=-1),
+            joint_angles=no_joints,
+            servo_impulses=no_joints[1:],
+            servo_work=no_joints[1:],
+            rewards=unknown,
+            action_times=unknown,
+        )
+        found.append(ideal)
+    return tuple(found)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import Channel, ErrorClamp, ForceField, NoFeedback
-from mmc_gym.experiments.experiment import Condition, PlannedTrial, has
+from mmc_gym.experiments.experiment import PlannedTrial, has
 from mmc_gym.experiments.fits import (
     TWO_STATES,
     choose_states,
@@ -134,7 +134,6 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
 
 
 def _of_exposures(of: Learning) -> dict[str, Any]:
-    """Return the measures of trials with the perturbation and of what follows; none without it."""
     exposures, least = of.exposures, LEAST * np.abs(of.perturbations).max()
     if not exposures:
         return {}
@@ -196,23 +195,22 @@ def learning_of(of: Movements) -> Learning:
     """Return what the subjects of an agent show of learning, (subjects, trials).
 
     Under a cursor the adaptation is the direction of the hand `BEFORE_FEEDBACK`, because later a
-    movement corrects itself; in a force field it is the lateral deviation at peak speed.  The mean
-    of each subject's baseline at each target is subtracted.  Probes in other directions are sorted
-    by direction within their block, since each subject has another order.  In a force field the
-    unit is the mean deviation in its first trial, and what differs between targets is taken out,
-    because the field pushes less in some directions.  In a channel it is the share of the ideal
-    force.  Channels and hidden cursors show no error.  Directions are from the instructed aim, if
-    there is one: what remains is implicit.
+    movement corrects itself, from the instructed aim, if there is one: what remains is implicit.
+    In a force field it is the lateral deviation at peak speed, in units of its mean in the first
+    trial, without what differs between targets, because the field pushes less in some directions.
+    In a channel it is the share of the ideal force.  The mean of each subject's baseline at each
+    target is subtracted.  Channels and hidden cursors show no error.  Probes in other directions
+    are sorted by direction within their block, since each subject has another order.
     """
     schedule, angles = of.schedule, of.angles
     blocks = np.array([one.block for one in schedule])
     kinds = np.array([one.kind for one in schedule])
-    clamped, in_channel, hidden = (
-        np.array([has(one.condition.perturbations, kind) for one in schedule])
-        for kind in (ErrorClamp, Channel, NoFeedback)
-    )
     strengths = np.array([one.strength for one in schedule])
-    is_field = any(has(one.condition.perturbations, ForceField) for one in schedule)
+    clamped, in_channel, hidden, in_field = (
+        np.array([has(one.condition.perturbations, kind) for one in schedule])
+        for kind in (ErrorClamp, Channel, NoFeedback, ForceField)
+    )
+    is_field = in_field.any()
     errorless = in_channel | (hidden & (not is_field))  # a field is felt
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     sign = np.sign(strengths[first].sum())
@@ -238,10 +236,14 @@ def learning_of(of: Movements) -> Learning:
     if in_channel.any():
         shares = np.broadcast_to(of.channel_shares if is_field else math.nan, angles.shape)
         shares = shares - _baseline(shares, angles, before)
-        ways = np.sign([_channel_of(one.condition) for one in schedule]) * sign
-        adaptation = np.where(in_channel, shares * ways, adaptation)
+        parts = [[c.perturbation for c in one.condition.perturbations] for one in schedule]
+        curls = [sum(c.curl for c in some if isinstance(c, Channel)) for some in parts]
+        adaptation = np.where(in_channel, shares * (np.sign(curls) * sign), adaptation)
     errors, perturbations = (np.where(errorless, 0.0, one) for one in (errors, perturbations))
-    order = _by_direction(angles, blocks, kinds == "transfer")
+    order = np.tile(np.arange(len(schedule)), (len(angles), 1))
+    for block in np.unique(blocks):
+        probes = np.flatnonzero((blocks == block) & (kinds == "transfer"))
+        order[:, probes] = probes[np.argsort(angles[:, probes], axis=1, kind="stable")]
     adaptation, errors, ordered = (
         np.take_along_axis(values, order, axis=1) for values in (adaptation, errors, angles)
     )
@@ -258,12 +260,6 @@ def learning_of(of: Movements) -> Learning:
         deviation=abs(deviation),
         corrections=_corrections(of, kinds),
     )
-
-
-def _channel_of(condition: Condition) -> float:
-    """Return the curl of the field that a channel is made for; 0 without one."""
-    parts = (one.perturbation for one in condition.perturbations)
-    return sum(part.curl for part in parts if isinstance(part, Channel))
 
 
 def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floats:
@@ -284,22 +280,10 @@ def _without_directions(values: Floats, angles: Floats, groups: NDArray[np.int64
     return found
 
 
-def _by_direction(
-    angles: Floats, blocks: NDArray[np.int64], chosen: NDArray[np.bool_]
-) -> NDArray[np.int64]:
-    """Return each subject's trials, with the chosen ones of a block sorted by direction."""
-    order = np.tile(np.arange(angles.shape[1]), (len(angles), 1))
-    for block in np.unique(blocks):
-        here = np.flatnonzero((blocks == block) & chosen)
-        order[:, here] = here[np.argsort(angles[:, here], axis=1, kind="stable")]
-    return order
-
-
 def _corrections(of: Movements, kinds: NDArray[np.str_]) -> Corrections | None:
     """Return each subject's mean response to jumps, None if no trial shows one.
 
     A jump changes where the hand must go: the target's, or that of the cursor against the hand.
-    A trial that ends before its jump shows nothing of it.
     """
     jumps = np.flatnonzero(kinds == "jump")
     if not len(jumps):

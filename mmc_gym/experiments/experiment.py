@@ -3,8 +3,8 @@
     Experiment  ->  schedule: what happens in each trial  ->  mmc_gym.experiments.trials plays it
 
 All trials are centre-out: they start in one posture, and the targets lie around the hand.
-Experiments after classic ones have names, with a strength as scenarios have: `rotation-30`.
-Others are written in Python or YAML.  Angles are in degrees, counter-clockwise.
+Classic experiments have names, with a strength as scenarios have: `rotation-30`.  Others are
+written in Python or YAML.  Angles are in degrees, counter-clockwise.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from itertools import cycle, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
 import numpy as np
 import yaml
@@ -86,15 +86,13 @@ def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
     return changes
 
 
+_ByName = Annotated[
+    Change,
+    PlainValidator(_named),
+    PlainSerializer(lambda change: change.name, return_type=str),
+]
 Perturbations = Annotated[
-    tuple[
-        Annotated[
-            Change,
-            PlainValidator(_named),
-            PlainSerializer(lambda change: change.name, return_type=str),
-        ],
-        ...,
-    ],
+    tuple[_ByName, ...],
     BeforeValidator(lambda value: (value,) if isinstance(value, str | Change) else value),
 ]
 Learned = Annotated[Perturbations, AfterValidator(_measured)]
@@ -143,12 +141,11 @@ def _without_error(changes: Sequence[Change]) -> Literal["clamp", "channel", "hi
     return "channel" if has(changes, Channel) else "hidden" if has(changes, NoFeedback) else ""
 
 
-def _check_aim(of: Block | Probe) -> None:
+def _check_aim(of: Block | Probe, target_jump: float = 0.0) -> None:
     """Refuse an aim where it would move more than the place that is aimed at."""
     bound = any(has(of.perturbations, kind) for kind in (ErrorClamp, CursorJump, Channel))
-    bound |= isinstance(of, Probe) and bool(of.target_jump)
-    accepted = "0 with a clamp, jump or channel"
-    require(not (of.aim and bound), f"aim of {of.name!r}", of.aim, accepted)
+    fine = not (of.aim and (bound or target_jump))
+    require(fine, f"aim of {of.name!r}", of.aim, "0 with a clamp, jump or channel")
 
 
 def _is_of_senses(change: Change) -> bool:
@@ -174,7 +171,7 @@ class Probe:
     kind: ProbeKind | None = None
 
     def __post_init__(self) -> None:
-        _check_aim(self)
+        _check_aim(self, self.target_jump)
 
     @property
     def measured_as(self) -> ProbeKind:
@@ -185,8 +182,8 @@ class Probe:
             return "jump"
         if self.targets:
             return "transfer"
-        is_other = self.perturbations or self.aim
-        return _without_error(self.perturbations) or ("other" if is_other else "catch")
+        usual: ProbeKind = "other" if self.perturbations or self.aim else "catch"
+        return _without_error(self.perturbations) or usual
 
 
 @_explained
@@ -212,8 +209,8 @@ class Block:
 
     def __post_init__(self) -> None:
         _check_aim(self)
-        share = sum(1 / probe.every for probe in self.probes)
-        require(share < 1, "probes", self.probes, "fewer than the trials")
+        few = sum(1 / probe.every for probe in self.probes) < 1
+        require(few, "probes", self.probes, "fewer than the trials")
         for probe in self.probes:
             accepted = f"at most the {self.trials} trials of block {self.name!r}"
             require(probe.every <= self.trials, f"every of {probe.name!r}", probe.every, accepted)
@@ -318,8 +315,7 @@ class Experiment:
     @property
     def settings(self) -> dict[str, Any]:
         """All entries, ready for JSON; perturbations by name."""
-        found: dict[str, Any] = TypeAdapter(Experiment).dump_python(self, mode="json")
-        return found
+        return cast(dict[str, Any], TypeAdapter(Experiment).dump_python(self, mode="json"))
 
     @property
     def seconds(self) -> float:
@@ -380,22 +376,21 @@ class Experiment:
 
     def plot_timeline(self, axes: Axes) -> None:
         """Draw the strength of the perturbation over trials, with phases, probes and rests."""
-        plain = [one for one in self.schedule if not one.probe]
-        trials, strengths = np.array([(one.trial, one.strength) for one in plain]).T
-        clamped = np.array([one.kind == "clamp" for one in plain])
+        import pandas as pd  # takes long
+
+        table = pd.DataFrame(self.schedule)
+        plain = table[table["probe"] == ""]
+        trials, strengths, clamped = plain["trial"], plain["strength"], plain["kind"] == "clamp"
         line: Any = {"color": "0.2", "drawstyle": "steps-mid"}
-        axes.plot(trials, np.where(clamped, math.nan, strengths), **line, label="_")
+        axes.plot(trials, strengths.mask(clamped), **line, label="_")
         if clamped.any():
-            held = np.where(clamped, strengths, math.nan)
-            axes.plot(trials, held, **line, linestyle=":", label="error clamp")
-        if any(aims := [one.aim for one in plain]):
-            axes.step(trials, aims, "--", color="0.5", where="mid", label="instructed aim")
-        probes, others = {one.probe: one.kind for one in self.schedule if one.probe}, cycle("14.23")
-        for name, kind in probes.items():
-            of, marker = [o for o in self.schedule if o.probe == name], MARKS.get(kind)
-            marker = marker or next(others)
-            style: Any = {"linestyle": "", "marker": marker, "markersize": 4, "color": "0.4"}
-            axes.plot([one.trial for one in of], [one.strength for one in of], **style, label=name)
+            axes.plot(trials, strengths.where(clamped), **line, linestyle=":", label="error clamp")
+        if plain["aim"].any():
+            axes.step(trials, plain["aim"], "--", color="0.5", where="mid", label="instructed aim")
+        others, style = cycle("14.23"), {"linestyle": "", "markersize": 4, "color": "0.4"}
+        for name, of in table[table["probe"] != ""].groupby("probe", sort=False):
+            marker = MARKS.get(of["kind"].iloc[-1]) or next(others)
+            axes.plot(of["trial"], of["strength"], **style, marker=marker, label=name)
         first = np.cumsum([0, *(block.trials for block in self.blocks)]) - 0.5
         text: Any = {"va": "bottom", "transform": axes.get_xaxis_transform()}
         for block, (begin, end) in zip(self.blocks, pairwise(first), strict=True):
@@ -403,8 +398,7 @@ class Experiment:
             room = (end - begin) / len(self.schedule) * _LABEL_ROOM
             is_short = len(pause + block.name) > room  # its label would run over its neighbours'
             place: Any = {"rotation": 30, "ha": "left"} if is_short else {"ha": "center"}
-            middle = (begin + end) / 2
-            axes.text(middle, 1.03, pause + block.name, **text, **place)
+            axes.text((begin + end) / 2, 1.03, pause + block.name, **text, **place)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
         units = dict.fromkeys(one.unit for one in self._learned())
         unit = f"\n[{', '.join(units)}]" if units else ""
@@ -417,7 +411,7 @@ class Experiment:
         from mmc_gym._plotting import STYLE, ShownFigure
 
         with rc_context(STYLE):
-            figure = ShownFigure(figsize=(6.5, 1.8), layout="constrained")
+            figure = ShownFigure(6.5, 1.8)
             self.plot_timeline(figure.add_subplot())
             if figure.axes[0].get_legend_handles_labels()[0]:
                 figure.legend(loc="outside right center", frameon=False)

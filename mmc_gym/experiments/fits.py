@@ -6,8 +6,8 @@ Biol. 4, e179).  In trial n, with A_f < A_s and x_0 = 0,
     y_n = Σ x_n,    x_{n+1} = A x_n + B e_n,    e_n = p_n − y_n
 
 The adaptation y is how much of the perturbation p the hand compensates, in its unit.  In an error
-clamp e is what the clamp shows; it is 0 where nothing is seen.  The model's own error drives it, as
-is usual.  If the errors that were seen are given, they drive it instead, noise included.
+clamp e is what the clamp shows; it is 0 where nothing is seen.  If the errors that were seen are
+given, they drive the states, noise included; else the model's own.
 
 An exponential is y_n = asymptote + (start − asymptote) e^{−rate n}, and a Gaussian about the
 trained direction y = offset + height e^{−(x − centre)²/2 width²}, x in degrees.
@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -50,13 +50,15 @@ the exponential's rate is per trial, the Gaussian's centre and width are in degr
 LEAST_EXPLAINED = 0.2  # of the variance of a curve, for it to have a rate
 # Where fits begin: rates per trial, and in degrees widths and centres; A and B of states.
 _RATES = np.geomspace(1e-3, 3.0, 60)
-_WIDTHS, _CENTRES = np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0, 45.0, 19))
+_WIDTHS, _CENTRES = (
+    one.reshape(-1, 1)
+    for one in np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0, 45.0, 19))
+)
 _STARTS = {
     1: (*product((0.5, 0.8, 0.95, 0.99, 0.999), (0.01, 0.03, 0.1, 0.3, 0.7)),),
     2: (*product((0.3, 0.6, 0.85), (0.95, 0.99, 0.999), (0.05, 0.2, 0.4), (0.01, 0.03, 0.1)),),
 }
 _EXACT = 1e-8  # share of the sum of squares of y that is no error
-_ITERATIONS = 60
 _NUDGE = 1e-6  # of logits, for derivatives
 _FARTHEST = 14.0  # logit: shares from 1e-6 to 1 − 1e-6
 
@@ -91,10 +93,10 @@ def fit(
         model: one or more of `PARAMETERS`.
         by: column or columns, each value of which has a fit of its own, such as "subject".  None:
             the mean of y over the rows with one x is fitted.
-        y: column of the adaptation; empty cells are left out.
-        perturbation: column of p, for states; empty where nothing is seen.
-        clamp: column of the error that is shown in error clamps, empty in other trials.
-        error: column of the errors that were seen, if they shall drive the states.
+        y: column of the adaptation; this and the others are those of `fit_curve`.
+        perturbation: column of p.
+        clamp: column of the error that is shown in error clamps.
+        error: column of the errors that were seen.
         x: column of the trial, or for a Gaussian of the direction less the trained one, degrees.
 
     Returns:
@@ -110,7 +112,7 @@ def fit(
     is_moved = any("state" in one or one == "correction" for one in models)
     states = {"perturbation": perturbation, "clamp": clamp, "error": error} if is_moved else {}
     columns = {"y": y, "x": x, **{name: one for name, one in states.items() if one}}
-    names = [by] if isinstance(by, str) else list(by or ())
+    names = [by] if isinstance(by, str) else [*(by or ())]
     for column in [*columns.values(), *names]:
         if column not in table:
             raise UserError(f"the table must have a column {shown(column)}, got {[*table.columns]}")
@@ -163,7 +165,8 @@ def fit_curve(
         shown_error = np.nan_to_num(error) if error is not None else clamp
         p, e = (np.broadcast_to(one, curve.shape) for one in (perturbation, shown_error))
         found = fit_states(curve[None], p, e, states=2 if model == "two-state" else 1)
-        predicted = _simulate(_logit(found), p, e)[0]
+        logits = np.clip(logit(found), -_FARTHEST, _FARTHEST)
+        predicted = _simulate(logits, p, e)[0]
         values = found[0]
     elif model == "correction":
         held = np.broadcast_to(np.asarray(clamp, np.float64), curve.shape)
@@ -178,14 +181,14 @@ def fit_curve(
     elif model == "gaussian":
         values = fit_gaussian(curve, places)
         offset, height, centre, width = values
-        predicted = offset + height * np.exp(-(((places - centre) / width) ** 2) / 2)
+        predicted = offset + height * _bell(places, centre, width)
     else:
         values, predicted = np.empty(0), np.zeros_like(curve)
     count, square = int(known.sum()), float(((predicted - curve)[known] ** 2).sum())
-    is_fitted = count > len(values) and not math.isnan(square)
     if not count:
         unknown = dict.fromkeys(PARAMETERS[model], math.nan)
         return Fit(model, unknown, predicted, math.nan, math.nan, math.nan, trials=0)
+    is_fitted = count > len(values) and not math.isnan(square)
     spread = float(np.var(curve[known])) * count
     # Of exact curves, few parameters win.
     least = _EXACT * float((curve[known] ** 2).sum()) + 1e-300
@@ -212,12 +215,11 @@ def choose_states(
     """
     flat = curves.reshape(-1, curves.shape[-1])
     kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
-    both = {"perturbation": perturbations, "clamp": clamps}
-    fits = [fit_curve(flat[0], kind, **both) for kind in kinds]
+    p, e = (np.broadcast_to(one, flat.shape[1:]) for one in (perturbations, clamps))
+    fits = [fit_curve(flat[0], kind, perturbation=p, clamp=e) for kind in kinds]
     known = [one for one in fits if not math.isnan(one.bic)]
     best = min(known, key=lambda one: one.bic).model if known else "nothing"
     found = np.full((len(flat), 4), math.nan)
-    p, e = (np.broadcast_to(one, flat.shape[1:]) for one in both.values())
     if best == "one-state":
         found[:, [1, 3]], found[:, 2] = fit_states(flat, p, e, states=1), 0.0
     elif best == "two-state":
@@ -231,8 +233,8 @@ def fit_states(
     """Return A and B of the states of each curve y (k, trials), (k, 2) or `TWO_STATES` (k, 4).
 
     NaN where fewer than eight trials are known, or nothing moves.  For p and clamps, (trials,), see
-    `fit_curve`.  All curves are fitted at once, by Levenberg and Marquardt from the best of some
-    values: one at a time, `scipy.optimize` would take a hundred times as long.
+    `fit_curve`.  All curves are fitted at once, by Levenberg and Marquardt: one at a time,
+    `scipy.optimize` would take a hundred times as long.
     """
     weights = np.isfinite(curves)
     is_fitted = (weights.sum(axis=1) >= 8) & (np.abs(np.where(weights, curves, 0)).max(axis=1) > 0)
@@ -248,10 +250,6 @@ def fit_states(
         swapped = found[:, 0] > found[:, 1]
         found[swapped] = found[swapped][:, [1, 0, 3, 2]]
     return found
-
-
-def _logit(shares: Floats) -> Floats:
-    return np.clip(logit(shares), -_FARTHEST, _FARTHEST)
 
 
 def _simulate(at: Floats, perturbations: Floats, clamps: Floats) -> Floats:
@@ -273,7 +271,7 @@ def _polish_all(at: Floats, curves: Floats, weights: Floats, *schedule: Floats) 
     at, damping, count = at.copy(), np.full(len(at), 1e-2), at.shape[1]
     nudges = np.concatenate([np.zeros((1, count)), _NUDGE * np.eye(count)])
     open_ones = np.arange(len(at))
-    for _ in range(_ITERATIONS):
+    for _ in range(60):
         now, own, seen = at[open_ones], curves[open_ones], weights[open_ones]
         values = _simulate((now[:, None] + nudges).reshape(-1, count), *schedule)
         values = values.reshape(len(now), count + 1, -1) * seen[:, None]
@@ -298,10 +296,10 @@ def _polish_all(at: Floats, curves: Floats, weights: Floats, *schedule: Floats) 
 
 @np.vectorize(signature="(n)->(p)")
 def fit_exponential(curves: Floats) -> Floats:
-    """Fit an exponential to each curve; return asymptote, rate and start, (..., 3).
+    """Fit an exponential to each curve (..., trials); return asymptote, rate and start, (..., 3).
 
-    The curves y are (..., trials); only finite values count.  NaN for fewer than four trials, and
-    if the fit explains less than a fifth of the variance: what has no course has no rate.
+    Only finite values count.  NaN for fewer than four trials, and if the fit explains less than a
+    fifth of the variance: what has no course has no rate.
     """
     trials = np.flatnonzero(np.isfinite(curves))
     known = curves[trials]
@@ -334,25 +332,27 @@ def fit_gaussian(curves: Floats, places: Floats) -> Floats:
     known, x = curves[present], places[present]
     if len(np.unique(x)) < 5 or np.ptp(known) == 0.0:
         return np.full(4, math.nan)
-    widths, centres = _WIDTHS.reshape(-1, 1), _CENTRES.reshape(-1, 1)
-    shapes = np.exp(-(((x - centres) / widths) ** 2) / 2)
+    shapes = _bell(x, _CENTRES, _WIDTHS)
     means = shapes.mean(axis=-1, keepdims=True)
     best, height = _nearest_shape(shapes - means, known - known.mean())
-    start = known.mean() - height * means[best, 0], height, *centres[best], *widths[best]
+    start = known.mean() - height * means[best, 0], height, *_CENTRES[best], *_WIDTHS[best]
     offset, height, centre, width = _polish(
-        lambda at: at[0] + at[1] * np.exp(-(((x - at[2]) / at[3]) ** 2) / 2) - known, start
+        lambda at: at[0] + at[1] * _bell(x, at[2], at[3]) - known, start
     )
     return np.array([offset, height, centre, abs(width)])
+
+
+def _bell(x: Any, centre: Any, width: Any) -> Any:
+    return np.exp(-(((x - centre) / width) ** 2) / 2)
 
 
 @np.vectorize(signature="(n),(n)->()")
 def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
 
-    At most 180°, which stands for flat: on a circle nothing is wider.  Only finite y count.
-
-    y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
-    target's direction less the trained one, degrees, (probes,).
+    y is the `adaptation` of probes in other directions, (..., probes), of which finite ones count;
+    x, the `offsets`, the target's direction less the trained one, degrees, (probes,).  At most
+    180°, which stands for flat: on a circle nothing is wider.
 
     Source: Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
     """
@@ -360,12 +360,9 @@ def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     adaptation, offsets = adaptation[present], offsets[present]
     if len(np.unique(offsets)) < 4 or not np.any(adaptation):
         return math.nan
-    widths, centres = _WIDTHS.reshape(-1, 1), _CENTRES.reshape(-1, 1)
-    best, height = _nearest_shape(np.exp(-(((offsets - centres) / widths) ** 2) / 2), adaptation)
-    found = _polish(
-        lambda at: at[0] * np.exp(-(((offsets - at[1]) / at[2]) ** 2) / 2) - adaptation,
-        (height, *centres[best], *widths[best]),
-    )
+    best, height = _nearest_shape(_bell(offsets, _CENTRES, _WIDTHS), adaptation)
+    start = height, *_CENTRES[best], *_WIDTHS[best]
+    found = _polish(lambda at: at[0] * _bell(offsets, at[1], at[2]) - adaptation, start)
     return min(abs(float(found[2])), float(_WIDTHS.max()))
 
 

@@ -26,8 +26,8 @@ def initial_direction(paths: ArrayLike, targets: ArrayLike, *, steps: int | None
     Args:
         paths: of hand or cursor, (..., time, 2), in any unit of length.
         targets: (..., 2).
-        steps: when the hand is looked at, steps of time after movement onset (see
-            `movement_onset`), so that feedback has not changed it yet.  None: at its peak speed.
+        steps: when the hand is looked at, steps of time after `movement_onset`, so that feedback
+            has not changed it yet.  None: at its peak speed.
 
     Source: Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20, 8916–8924.
     """
@@ -41,8 +41,8 @@ def lateral_deviation(paths: ArrayLike, targets: ArrayLike) -> Floats:
     In the unit of `paths`; for arguments and NaN see `initial_direction`.
     """
     hand, aim = _early(paths, targets, None)
-    ways = np.linalg.norm(aim, axis=-1)
-    return np.asarray(_cross(aim, hand) / np.where(ways > 0, ways, math.nan))
+    way = np.linalg.norm(aim, axis=-1)
+    return np.asarray(_cross(aim, hand) / np.where(way > 0, way, math.nan))
 
 
 def movement_onset(paths: ArrayLike) -> NDArray[np.int64]:
@@ -131,10 +131,7 @@ def _angle_between(aim: Floats, hand: Floats) -> Floats:
 
 
 def _early(paths: ArrayLike, targets: ArrayLike, after: int | None) -> tuple[Floats, Floats]:
-    """Return the hand after its fastest step, or some steps after onset, and the target.
-
-    Both are seen from the start.
-    """
+    """Return from the start the hand after its fastest step, or `after` onset, and the target."""
     hands = np.asarray(paths, dtype=np.float64)
     if hands.shape[-2] < 2:  # it never moves
         hands = np.full((*hands.shape[:-2], 2, 2), math.nan)
@@ -155,8 +152,7 @@ def correction_gain(response: ArrayLike, jump: float) -> Floats:
     """Return which share of a jump in flight the hand has corrected at the end.
 
     The response is the mean path with the jump less that without, along the full correction,
-    (..., time), and `jump` the size of the jump of target or cursor, in the same unit.  NaN for a
-    jump of 0.
+    (..., time), and `jump` the size of the jump, in the same unit.  NaN for a jump of 0.
 
     Source: Veyrat-Masson, Brière & Proteau (2010), J. Vision 10(14), 27.
     """
@@ -170,13 +166,12 @@ def correction_latency(
     """Return the seconds from a jump in flight until the mean path responds.
 
     A line through the points where the response's acceleration first has 25 % and 75 % of its peak
-    is extended to 0, so that a strong response does not count as an early one.  NaN if the response
-    never is 1 % of the jump in its direction, is not known throughout, or ends before the jump.
+    is extended to 0, so that a strong response does not count as an early one (Oostwoud Wijdenes,
+    Brenner & Smeets 2014, Behav. Res. Methods 46).  NaN if the response never is 1 % of the jump in
+    its direction, is not known throughout, or ends before the jump.
 
-    The response, (time,), and the jump are those of `correction_gain`; it jumps at `jump_time`,
-    seconds after the first position.
-
-    Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
+    The response, (time,), and the jump are those of `correction_gain`; `jump_time` is in seconds
+    after the first position.
     """
     path = np.asarray(response, dtype=np.float64)
     is_response = len(path) > 2 and path.max() >= 0.01 * jump > 0  # False with NaN, as the next one

@@ -20,7 +20,6 @@ import numpy as np
 import pandas as pd
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
@@ -108,7 +107,7 @@ class ExperimentResult:
 
     def plot(self, figure: Figure | None = None) -> Figure:
         """Return a figure, a new one if None is given, see `learning_figure`."""
-        return learning_figure(self, self.measures, figure)
+        return learning_figure(self, figure=figure)
 
     def print(self, console: Console | None = None) -> None:
         """Print the measures; to standard output by default."""
@@ -117,7 +116,7 @@ class ExperimentResult:
     def write(self, out: Path | str) -> list[Path]:
         """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`.
 
-        If these are of trials that are not among its own, it writes NAME.2.trials.csv and so on.
+        Instead of overwriting trials that are not its own, it writes NAME.2.trials.csv and so on.
         """
         own = {*self.trials[_RUN].astype(str).itertuples(index=False, name=None)}
         first = str(Path(out) / self.experiment.name)
@@ -158,9 +157,8 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
     """Return a row for each agent and each measure that some agent has a value of.
 
     Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
-    missing, source and settings (see `ExperimentResult.settings`).  A measure that people have a
-    published figure of in such an experiment has a row of the agent "people", too, with a source;
-    see `with_people`.
+    missing, source and settings (see `ExperimentResult.settings`).  Rows of the agent "people" have
+    the published figures, see `with_people`.
     """
     rows = []
     for agent in result.trials["agent"].unique():
@@ -168,14 +166,14 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
         found = measure_learning(_resampled(learning, resamples))
         tails = expanded_tails(len(learning.errors))
         for one in QUANTITIES:
+            values, low, high = found[one.name], math.nan, math.nan
+            if not math.isnan(values[0]):
+                low, high = percentile_interval(values[1:], tails)
             unit = learning.unit if one.unit == OF_ADAPTATION else one.unit
-            values = found[one.name]
-            is_known = not math.isnan(values[0])
-            low, high = percentile_interval(values[1:], tails) if is_known else (math.nan, math.nan)
             facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
             interval = {"estimate": float(values[0]), "low": low, "high": high}
-            count = {"count": len(learning.errors), "missing": 0, "source": ""}
-            rows.append({"agent": agent, "measure": one.name, **facts, **interval, **count})
+            counts = {"count": len(learning.errors), "missing": 0, "source": ""}
+            rows.append({"agent": agent, "measure": one.name, **facts, **interval, **counts})
     table = pd.DataFrame(rows)
     has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
     whole = with_people(table[has_values], result.experiment.family)
@@ -184,15 +182,11 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
 
 def _resampled(of: Learning, resamples: int) -> Learning:
     """Return the mean over subjects, then that of each resample, see `resampled_means`."""
-    corrections = of.corrections and of.corrections._replace(
-        responses=resampled_means(of.corrections.responses, resamples)
-    )
-    return replace(
-        of,
-        adaptation=resampled_means(of.adaptation, resamples),
-        errors=resampled_means(of.errors, resamples),
-        corrections=corrections,
-    )
+    adaptation, errors = (resampled_means(one, resamples) for one in (of.adaptation, of.errors))
+    jumps = of.corrections
+    if jumps:
+        jumps = jumps._replace(responses=resampled_means(jumps.responses, resamples))
+    return replace(of, adaptation=adaptation, errors=errors, corrections=jumps)
 
 
 def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
@@ -221,13 +215,13 @@ def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
     if table.empty:
         console.print("No agent has a value of any measure of learning here.")
         return
-    found = {(row["agent"], row["measure"]): row for row in table.to_dict("records")}
     agents = list(table["agent"].unique())
     rows = []
-    for facts in table.drop_duplicates("measure").to_dict("records"):
-        own = (found.get((agent, facts["measure"])) for agent in agents)
-        cells = tuple(NONE if row is None else _printed(row) for row in own)
-        rows.append(Row(facts["label"], cells, f"[{facts['unit']}]" if facts["unit"] else ""))
+    for _, own in table.groupby("measure", sort=False):
+        found = {row["agent"]: row for row in own.to_dict("records")}
+        cells = tuple(_printed(found[one]) if one in found else NONE for one in agents)
+        label, unit = own[["label", "unit"]].iloc[0]
+        rows.append(Row(label, cells, f"[{unit}]" if unit else ""))
     note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
     note += settings_note(dict(zip(table["agent"], table["settings"], strict=True)))
     print_table(console, Table((Heading(""), *map(Heading, agents)), tuple(rows), note))
@@ -243,20 +237,15 @@ def check_people(table: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Return your table of people, to be drawn with agents, if it fits the experiment.
 
     It has columns trial (in the experiment, from 0) and adaptation (in the unit of the figure),
-    and a row for each trial, or for each subject and trial.
-
-    Raises:
-        UserError: if a column is missing or holds no numbers, or there is no such trial.
+    and a row for each trial, or for each subject and trial.  A `UserError` says what does not fit.
     """
     for name in ("trial", "adaptation"):
         if name not in table:
             raise UserError(f"people must have a column {name!r}, got {[*table.columns]}")
         require(is_numeric_dtype(table[name]), f"people's {name}", table[name].iloc[0], "numbers")
-    trials, count = table["trial"], len(experiment.schedule)
-    fine = trials.between(0, count - 1)
-    if not fine.all():
-        accepted = f"from 0 to {count - 1}, as in {experiment.name}"
-        require(False, "people's trial", trials[~fine].iloc[0].item(), accepted)
+    last = len(experiment.schedule) - 1
+    for wrong in table.loc[~table["trial"].between(0, last), "trial"]:
+        require(False, "people's trial", wrong, f"from 0 to {last}, as in {experiment.name}")
     return table
 
 
@@ -270,16 +259,13 @@ def learning_figure(
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
     Probes are marks, but for error clamps; those in other directions and of jumps are left out.
-    Below are the measures for which there is a published figure of people, see `draw_with_people`;
-    `table` has them, by default that of the result.
+    Below are the measures in `table`, by default that of the result, that people have a figure of.
     """
     table = result.measures if table is None else table
     compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
     rows = 3 if compared else 2
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
-        if figure is None:
-            figure = ShownFigure(figsize=(7.5, 2.2 * rows), layout="constrained")
-            FigureCanvasAgg(figure)
+        figure = figure or ShownFigure(7.5, 2.2 * rows)
         ratios = (1, 3, 1.2)[:rows]
         grid = figure.add_gridspec(rows, max(1, len(compared)), height_ratios=ratios)
         above = figure.add_subplot(grid[0, :])
@@ -299,14 +285,15 @@ def learning_figure(
 
 
 def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
-    """Draw the learning curve of each agent, and full compensation of the perturbation."""
     for number, (agent, settings) in enumerate(result.settings.items()):
         learning = learning_of(result.movements_of(agent))
-        style = LINES[(number + number // len(COLOURS)) % len(LINES)]
-        colour = COLOURS[number % len(COLOURS)]
-        label = fill(f"{agent} ({settings})" if settings else agent, _LEGEND_WIDTH)
-        axes.plot([], [], color=colour, linestyle=style, label=label)
-        _draw_curve(axes, learning, colour, style, resamples)
+        look = {
+            "color": COLOURS[number % len(COLOURS)],
+            "linestyle": LINES[(number + number // len(COLOURS)) % len(LINES)],
+        }
+        text = f"{agent} ({settings})" if settings else agent
+        axes.plot([], [], **look, label=fill(text, _LEGEND_WIDTH))
+        _draw_curve(axes, learning, look, resamples)
     if result.people is not None:
         mean = result.people.groupby("trial")["adaptation"].mean()
         axes.plot(mean.index, mean, "k.", ms=2.5, label=PEOPLE)
@@ -315,14 +302,13 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
     full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)
     line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
     axes.step(np.arange(len(full)), full, "0.6", **line)
-    in_degrees = learning.unit == "°"
     is_aimed = any(one.aim for one in result.experiment.schedule)
     angle = "hand angle less the aim [°]" if is_aimed else "hand angle [°]"
-    label = angle if in_degrees else "adaptation [share of the deviation]"
+    label = angle if learning.unit == "°" else "adaptation [share of the deviation]"
     axes.set(xlabel="trial", ylabel=label)
 
 
-def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resamples: int) -> None:
+def _draw_curve(axes: Axes, learning: Learning, look: Any, resamples: int) -> None:
     """Draw the mean adaptation of each cycle of trials over the middle of the cycle."""
     in_curve = np.isin(learning.kinds, ("plain", "clamp"))
     alone = ~np.isin(learning.blocks, learning.blocks[in_curve])  # blocks without feedback
@@ -333,14 +319,14 @@ def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resampl
         of_subjects = [learning.adaptation[:, one].mean(axis=1) for one in cycles]
         means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
         places = [one.mean() for one in cycles]
-        axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
+        axes.plot(places, means[0], **look, linewidth=1.2)
         if len(means) > 1:  # a single subject has no band
             ends = np.quantile(means[1:], expanded_tails(len(learning.errors)), axis=0)
-            axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
+            axes.fill_between(places, *ends, color=look["color"], alpha=0.2, linewidth=0)
     for kind, marker in MARKS.items():
         probes = np.flatnonzero((learning.kinds == kind) & ~in_curve)
         means = learning.adaptation[:, probes].mean(axis=0)
-        axes.plot(probes, means, marker, color=colour, ms=4)
+        axes.plot(probes, means, marker, color=look["color"], ms=4)
 
 
 def draw_with_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:

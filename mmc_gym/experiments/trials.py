@@ -3,9 +3,8 @@
     Experiment  ->  cells (an agent, some subjects)  ->  run_grid  ->  ExperimentResult
 
 What a trial holds depends on the experiment, the agent and the subject's own seed, not on how many
-subjects there are.  An agent that keeps nothing from trial to trial plays all its trials at once.
-In a folder every cell is one file, written atomically: an interrupted run resumes, and subjects and
-agents can be added.
+subjects there are.  In a folder every cell is one file, written atomically: an interrupted run
+resumes, and subjects and agents can be added.
 
     trials/AGENT--EXPERIMENT.DIGEST.FIRST-LAST.parquet    the trials of some subjects
     trials/AGENT--EXPERIMENT.DIGEST.json                  how many subjects there must be
@@ -89,11 +88,6 @@ class TrialsCell:
         return _stem(self.agent.label, self.settings)
 
     @property
-    def file_name(self) -> str:
-        """Name of its file."""
-        return _file_name(self.stem, self.subjects)
-
-    @property
     def settings(self) -> dict[str, Any]:
         """Everything that its result is known to depend on, ready for JSON."""
         names = ("subjects", "seed", "keeps_all", "parts", "env_kwargs")
@@ -104,8 +98,11 @@ class TrialsCell:
             "experiment": self.experiment.settings,
             **{name: getattr(self, name) for name in names},
         }
-        found: dict[str, Any] = json.loads(json.dumps(settings, default=_plain))
-        return found
+
+        def plain(value: Any) -> Any:
+            return value.item() if isinstance(value, np.generic) else list(value)
+
+        return cast(dict[str, Any], json.loads(json.dumps(settings, default=plain)))
 
     @property
     def learners(self) -> list[Parts]:
@@ -121,13 +118,13 @@ class TrialsCell:
 
     def player(self) -> Player:
         """Make the agent; refuse one that cannot act."""
-        scenario, entry = self.experiment.scenario(**self.arguments), self.agent.entry
-        made, agent = make_player(self.agent, scenario)
+        has_parts, entry = False, self.agent.entry
+        made, agent = make_player(self.agent, self.experiment.scenario(**self.arguments))
         with closing(made):
             facts = ("control", "parameters", "success_distance")
             control, arm, tolerance = (read_attribute(made, name) for name in facts)
-            has_parts = entry is not None and isinstance(agent, BodyAgent)
             if entry is not None and isinstance(agent, BodyAgent):
+                has_parts = True
                 parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
                 agent = entry.build(agent.interface, parts=parts, subjects=self.learners)
         takes_batches = isinstance(agent, Agent) and self.agent.wrapper is None
@@ -144,7 +141,6 @@ class TrialsCell:
 
 
 def _stem(agent: str, settings: Mapping[str, Any]) -> str:
-    """Return the first part of the names of an agent's files."""
     shared = json.dumps({**settings, "subjects": None}, sort_keys=True)
     digest = hashlib.sha256(shared.encode()).hexdigest()[:8]
     return f"{CellKey(agent, None, settings['experiment']['name']).stem}.{digest}"
@@ -170,16 +166,10 @@ def _subjects_in(plan: Path) -> int:
         raise UserError(f"{plan} is damaged, remove it: {error}") from error
 
 
-def _plain(value: Any) -> Any:
-    """Return a value for JSON."""
-    return value.item() if isinstance(value, np.generic) else list(value)
-
-
 class _Session:
     """The subjects of a cell in their trials: seeds, targets, environments and recorded paths."""
 
     def __init__(self, cell: TrialsCell, player: Player) -> None:
-        """Draw the subjects' seeds and the directions of their targets, (subjects, trials)."""
         self.cell, self.schedule = cell, cell.experiment.schedule
         self.shape = len(cell.subjects), len(self.schedule)
         sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
@@ -241,16 +231,14 @@ class _Session:
         subjects, trials = self.shape
         starts = self.paths["hands"][:, :, 0].reshape(-1, 2)
         learners = self.cell.learners if self.cell.parts else [None] * subjects
-        own = {name: [_text(one, name) for one in learners] for name in LEARNED}
-        same: dict[str, Any] = {
-            "keeps_all": self.cell.keeps_all,
-            "noise": "+".join(one.name for one in self.cell.experiment.noise),
-            "seed": self.cell.seed,
-            "version": version("mmc-gym"),
-            "run": self.cell.stem.rsplit(".", 1)[-1],
-        }
+
+        def text(learner: Parts | None, name: str) -> str:  # several states after commas
+            return ", ".join(f"{one:g}" for one in np.atleast_1d(getattr(learner, name, ())))
+
+        own = {name: [text(one, name) for one in learners] for name in LEARNED}
+        rows = len(starts)
         return {
-            "agent": [self.cell.agent.label] * len(starts),
+            "agent": [self.cell.agent.label] * rows,
             "subject": np.repeat(np.array(self.cell.subjects), trials),
             **pd.concat([table] * subjects),
             "target_angle": np.ravel(self.angles),
@@ -258,7 +246,11 @@ class _Session:
             "start_y": starts[:, 1],
             "channel_force": self.channel_shares.ravel(),
             **{name: np.repeat(values, trials) for name, values in own.items()},
-            **{name: [one] * len(starts) for name, one in same.items()},
+            "keeps_all": [self.cell.keeps_all] * rows,
+            "noise": ["+".join(one.name for one in self.cell.experiment.noise)] * rows,
+            "seed": [self.cell.seed] * rows,
+            "version": [version("mmc-gym")] * rows,
+            "run": [self.cell.stem.rsplit(".", 1)[-1]] * rows,
             **{name: _lists(values) for name, values in self.paths.items()},
         }
 
@@ -292,12 +284,6 @@ def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
                 raise UserError(f"{where} cannot be played: {error}") from error
         tried.add(player.control)
         yield cell if player.has_parts else replace(cell, parts={})
-
-
-def _text(parts: Parts | None, name: str) -> str:
-    """Return a setting of a learner for the table, numbers of several states after commas."""
-    value = () if parts is None else getattr(parts, name)
-    return ", ".join(f"{one:g}" for one in (value if isinstance(value, tuple) else (value,)))
 
 
 def _lists(paths: NDArray[np.float32]) -> pa.Array:
@@ -335,9 +321,8 @@ def run_experiment(
         rate: of `mmc-body` and `ik-body`: share of what a movement shows that is learned; several
             for several states, as a fast and a slow one.  1 learns all within the movement.
         retention: of these: share of a state that is left at the next trial.
-        learners: what differs from these for some agents, by label: `rate`, `retention`, their
-            spread between subjects, `width` and `largest_error`, see
-            `mmc_gym.agents.body_model.parts.Parts`.  `{"slow": {"rate": 0.05}}`.
+        learners: what differs from these for some agents, by label, as in
+            `{"slow": {"rate": 0.05}}`, see `mmc_gym.agents.body_model.parts.Parts`.
         keep: labels of agents whose whole state lasts from trial to trial, in place of what their
             `between_trials` keeps.
         jobs: how many cells are played at once, see `run_grid`.
@@ -360,10 +345,9 @@ def run_experiment(
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shared = {"rate": rate, "retention": retention}
     accepted = "a mapping of agents to mappings, such as {'slow': {'rate': 0.05}}"
-    named = {} if learners is None else learners
-    is_fine = isinstance(named, Mapping) and all(isinstance(one, Mapping) for one in named.values())
+    own = {} if learners is None else learners
+    is_fine = isinstance(own, Mapping) and all(isinstance(one, Mapping) for one in own.values())
     require(is_fine, "learners", learners, accepted)
-    own = {label: {**shared, **each} for label, each in named.items()}
     for label in own:
         require_choice("learners", label, [agent.label for agent in found])
     whole = [
@@ -373,7 +357,7 @@ def run_experiment(
             subjects=range(subjects),
             seed=seed,
             keeps_all=agent.label in keep,
-            parts=_checked_parts(own.get(agent.label, shared)),
+            parts=_checked_parts({**shared, **own.get(agent.label, {})}),
             env_kwargs=given,
         )
         for agent in found
@@ -391,9 +375,9 @@ def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return what an agent learns with, all of `LEARNED`; raise a `UserError` for a wrong one."""
     for name in given:
         require_choice("learners", name, LEARNED)
-    shares = {name: one if np.iterable(one) else (one,) for name, one in given.items()}
-    alone = {name: given[name] for name in LEARNED[2:] if name in given}
-    parts = Parts(**{**shares, **alone})
+    several = {name: given[name] for name in LEARNED[:2]}  # of states
+    shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
+    parts = Parts(**{**given, **shares})
     return {name: getattr(parts, name) for name in LEARNED}
 
 
@@ -404,14 +388,15 @@ def _played(
     on_progress: Callable[[int, int], None],
 ) -> list[bytes]:
     """Return the files of cells: those that the folder keeps, and the others played now."""
-    kept = [_content(folder / cell.file_name, cell) if folder else None for cell in cells]
+    paths = [folder and folder / _file_name(cell.stem, cell.subjects) for cell in cells]
+    kept = [_content(path, cell) if path else None for path, cell in zip(paths, cells)]
     missing = [number for number, content in enumerate(kept) if content is None]
     on_progress(len(cells) - len(missing), len(cells))
 
     def keep_file(index: int, content: bytes) -> None:
         kept[missing[index]] = content
-        if folder is not None:
-            write_atomically(folder / cells[missing[index]].file_name, content)
+        if path := paths[missing[index]]:
+            write_atomically(path, content)
         on_progress(len(cells) - kept.count(None), len(cells))
 
     run_grid(run_cell, [cells[number] for number in missing], jobs=jobs, on_result=keep_file)
@@ -445,7 +430,6 @@ def _read(path: Path, content: bytes) -> _Cell:
 
 
 def _result(cells: Sequence[_Cell]) -> ExperimentResult:
-    """Return the result that some cells of one experiment hold."""
     tables, kept = zip(*cells, strict=True)
     table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
     paths = {
@@ -468,8 +452,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """Return the results of all experiments that a store holds, in the order of their names.
 
     Raises:
-        UserError: if a file is missing or damaged; if agents went through experiments of one name
-            that differ, or one agent did with different settings.
+        UserError: if a file is missing or damaged, or settings of one agent or experiment differ.
     """
     found: dict[str, list[_Cell]] = {}
     first: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}

@@ -12,10 +12,9 @@ the report show it if it is `shown`.  Register your own in the same way:
 
 On the command line name the module: `mmc-gym compare --import my_measures`.
 
-Path, shape and cost mean nothing for a movement that did not arrive: a hand that never moves has
-the shortest path, the least work and no overshoot.  So measures with `successes_only` are reported
-for the episodes that ended at the target, as is usual for human movements.  The data hold them for
-all episodes.
+Measures with `successes_only` are reported for the episodes that ended at the target, as is usual
+for human movements: a hand that never moves has the shortest path, the least work and no overshoot.
+The data hold them for all episodes.
 """
 
 from __future__ import annotations
@@ -93,8 +92,8 @@ class Quantity:
     def quantity(self, value: float) -> str:
         """Write a value as `number` does, with its unit if it has one."""
         text = self.number(value)
-        has_unit = self.unit and self.unit not in METHODS
-        return f"{text} {self.shown_unit}" if has_unit and text != "–" else text
+        has_unit = self.unit and self.unit not in METHODS and text != "–"
+        return f"{text} {self.shown_unit}" if has_unit else text
 
     def interval(self, low: float, high: float) -> str:
         """Write the ends of an interval in brackets; return "" if they are NaN."""
@@ -172,7 +171,7 @@ def measure(
     """Register a function `Episode -> float` as a measure, under the function's name.
 
     Args:
-        function: none; it is there so that `@measure` without brackets is noticed.
+        function: none; so that `@measure` without brackets is noticed.
         label: heading in tables.
         unit: of the values; "fraction" is shown in percent, "" is a plain number.
         best: "high" or "low" if such values are good, else "neither".
@@ -182,8 +181,7 @@ def measure(
         successes_only: whether it is reported only for episodes that ended at the target.
 
     Raises:
-        UserError: without a label or without brackets; if another measure or another column of the
-            data has this name, or `best` or `statistic` is not accepted.
+        UserError: without a label or brackets, if the name is taken, or a value is not accepted.
     """
     accepted = 'used as @measure(label="..."), with its brackets'
     require(function is None, "@measure", function, accepted)
@@ -202,8 +200,7 @@ def register(made: Measure) -> None:
     """Register a measure; raise a `UserError` if its name is taken or a value is not accepted."""
     for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
         value = getattr(made, name)
-        if value not in accepted:
-            raise UserError(f"{name} of {made.name!r} must be one of {accepted}, got {value!r}")
+        require(value in accepted, f"{name} of {made.name!r}", value, f"one of {accepted}")
     known = MEASURES.get(made.name)
     # The same function may be registered again: a notebook's cell runs twice, a worker imports it.
     if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
@@ -241,27 +238,22 @@ def shown_measures() -> tuple[Measure, ...]:
 
 
 def measure_all(episode: Episode) -> dict[str, float]:
-    """Return the values of all measures of an episode, by name."""
-    return {name: _value_of(one, episode) for name, one in MEASURES.items()}
-
-
-def _value_of(known: Measure, episode: Episode) -> float:
-    """Return the value of a measure; raise a `UserError` if it is no number."""
-    value: Any = known.of(episode)
-    if not isinstance(value, float):
-        is_single = np.asarray(value, dtype=object).ndim == 0
-        fine = is_single and np.asarray(value).dtype.kind in "fiub"
-        require(fine, f"what measure {known.name!r} returns", value, "a number")
-    return float(value)
+    """Return the values of all measures of an episode, by name; refuse what is no number."""
+    found = {}
+    for name, one in MEASURES.items():
+        value: Any = one.of(episode)
+        if not isinstance(value, float):
+            is_single = np.asarray(value, dtype=object).ndim == 0
+            fine = is_single and np.asarray(value).dtype.kind in "fiub"
+            require(fine, f"what measure {name!r} returns", value, "a number")
+        found[name] = float(value)
+    return found
 
 
 def leave_out_failures(
     episodes: pd.DataFrame, measures: Iterable[Measure] | None = None
 ) -> pd.DataFrame:
-    """Set the columns of `successes_only` measures to NaN where success is not 1.
-
-    The `episodes` have a row each, and a column for each of the measures, by default `MEASURES`.
-    """
+    """Set the columns of `successes_only` measures (of `MEASURES`, if None) to NaN in failures."""
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]
     arrived = episodes["success"] == 1.0

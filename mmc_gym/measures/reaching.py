@@ -22,11 +22,8 @@ REST = 0.5  # s at the end of an episode in which jitter is measured
 def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool:
     """Return whether the hand is within `tolerance` throughout the last `steps` steps.
 
-    d_k ≤ ε for k = n − steps … n, where n is the last step.  With one step or more, a hand that
-    only passes the target when time is up does not count.
-    Distances from hand to target are (steps + 1,).  A distance of exactly ε, the tolerance, is
-    within, as in the environment.  A shorter episode counts as a whole; one without
-    distances is not within.
+    d_k ≤ ε for k = n − steps … n, where n is the last step.  Distances from hand to target are
+    (steps + 1,).  A shorter episode counts as a whole; one without distances is not within.
     """
     last = np.asarray(distances)[-steps - 1 :]
     return bool(last.size and (last <= tolerance).all())
@@ -51,7 +48,6 @@ def largest_retreat(distances: ArrayLike) -> float:
     """Return how far the hand retreats from the target: max_{k>j} (d_k − d_j), at least 0.
 
     NaN without distances, or where one is NaN.
-    The published figures call more than 0.01 of the way from start to target an overshoot.
     """
     profile = np.asarray(distances, dtype=np.float64)
     return float((profile - np.minimum.accumulate(profile)).max()) if profile.size else math.nan
@@ -122,9 +118,8 @@ def linearity_index(points: ArrayLike) -> float:
     """Return the largest distance of a path from the line between its ends, over its length.
 
     max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0 and u the unit vector from the first
-    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began,
-    or has no points.
-    The points are positions of the hand, or joint angles, (points, dimensions).
+    to the last point (points, dimensions).  0 is straight, ½ a half circle; NaN if the path ends
+    where it began, or has no points.
 
     Source: Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
     https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
@@ -146,8 +141,7 @@ def path_ratio(episode: Episode) -> float:
     """Return the length of the hand's path over the line from start to target; 1 is straight.
 
     Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, with corrections and tremor at the
-    target.  Below 1 only if the hand stops short.  Under a visuomotor rotation both lengths are the
-    cursor's, because the cursor must reach the target.  NaN where the target moves, and where the
+    target; under a visuomotor rotation of the cursor.  NaN where the target moves, and where the
     line is shorter than ε, because the ratio would grow without bound.
     """
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
@@ -161,8 +155,8 @@ def path_ratio(episode: Episode) -> float:
 def maximal_deviation(episode: Episode) -> float:
     """Return the `linearity_index` of the hand's path while it moves.
 
-    The line joins the ends of the path.  It is not the line to the target, because under a
-    visuomotor rotation the cursor aims there.  NaN if the ends are closer than ε.
+    From the line between its ends, not to the target, because under a visuomotor rotation the
+    cursor aims there.  NaN if the ends are closer than ε.
     """
     part = moving_part(episode.speeds)
     hands = episode.hands[part.start : part.stop + 1]

@@ -41,8 +41,7 @@ Options: TypeAlias = Mapping[str, Any]
 def episode_seeds(seed: int, episodes: int) -> list[int]:
     """Return one seed per episode: the first words of `numpy.random.SeedSequence(seed)`.
 
-    A larger number of episodes begins with the same seeds.  (With seed, seed + 1, … as the seeds of
-    episodes, neighbouring seeds would share nearly all episodes.)
+    A larger number of episodes begins with the same seeds.
     """
     episodes = require_whole("episodes", episodes, most=MOST_EPISODES)
     seed = require_whole("seed", seed, least=0, most=math.inf)
@@ -61,8 +60,8 @@ def check_environment(env: gym.Env[Any, Any]) -> None:
     if missing:
         raise UserError(
             "env must be a reaching environment such as 'MMCReach-v0', got "
-            f"{env.spec.id if env.spec else env}, "
-            f"which lacks {', '.join(missing)}; to any other belongs an interface=..."
+            f"{env.spec.id if env.spec else env}, which lacks {', '.join(missing)}; "
+            "to any other belongs an interface=..."
         )
 
 
@@ -138,8 +137,8 @@ def _check_arguments(
     whole = [int(seed) for seed in seeds]
     given: Any = [{}] * len(whole) if options is None else options
     are_mappings = isinstance(given, Sequence) and all(isinstance(one, Mapping) for one in given)
-    one_each = are_mappings and len(given) == len(whole)
-    require(one_each, "options", given, f"a list of {len(whole)} mappings, one per seed")
+    fine = are_mappings and len(given) == len(whole)
+    require(fine, "options", given, f"a list of {len(whole)} mappings, one per seed")
     return whole, given
 
 
@@ -163,10 +162,7 @@ def _play(
     arm: Any,
     state: Any = None,
 ) -> tuple[list[Episode], Any]:
-    """Play one episode, or those of all arms of a vector environment, from reset to end.
-
-    With the episodes, return the agent's state at their end.
-    """
+    """Play one episode with each arm from reset to end; return them and the agent's state there."""
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
     recording = _Recording(arm, together)
@@ -219,7 +215,6 @@ class _Recording:
         self._values["joint_angles"].append(np.array(posture))
 
     def add_step(self, reward: Any) -> None:
-        """Add the reward of a step, and the effort of the servos in it."""
         self._values["rewards"].append(reward)
         for name in self._effort:
             self._values[name].append(np.array(getattr(self._arm, name)))
@@ -229,9 +224,8 @@ class _Recording:
         found = {}
         for name, values in self._values.items():
             array = np.array(values, dtype=np.float64)  # (steps, …) or (steps, episodes, …)
-            found[name] = (
-                np.ascontiguousarray(array.swapaxes(0, 1)) if self._together else array[None]
-            )
+            array = array.swapaxes(0, 1) if self._together else array[None]
+            found[name] = np.ascontiguousarray(array)
         unreported = np.full_like(found["joint_angles"][:, 1:], math.nan)
         return {**dict.fromkeys(_EFFORT, unreported), **found}
 
@@ -273,10 +267,9 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
         own = [seed if chosen else None for seed, chosen in zip(seeds, mask)]
         masked = {**options[group[0]], "reset_mask": mask}
         observation, info = env.reset(seed=own, options=masked)
-        for key in _SEEN.values():
-            if key in info:
-                values = seen.setdefault(key, np.zeros(info[key].shape))
-                values[group] = info[key][group]
+        for key in info.keys() & {*_SEEN.values()}:
+            values = seen.setdefault(key, np.zeros(info[key].shape))
+            values[group] = info[key][group]
     return observation, seen
 
 
@@ -304,9 +297,8 @@ def evaluate(
 ) -> dict[str, float]:
     """Return the scores of an agent over episodes of the seeds `seed`, `seed` + 1, …, all at once.
 
-    They are means of success, final_distance (segment lengths) and episode_return; time_at_target,
-    the share of the time within the tolerance; and time_to_target (seconds), the median over the
-    successes, if there are any.
+    They are means of success, final_distance and episode_return; time_at_target, the share of the
+    time within the tolerance; and time_to_target, the median over the successes, if any.
     """
     with closing(gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)) as env:
         agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)

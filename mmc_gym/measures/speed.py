@@ -1,10 +1,8 @@
 """Measures of the speed profile of the hand, its shape and smoothness, and of a movement's cost.
 
 A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are taken from
-its `moving_part`.  That part of minimum jerk is its `MINIMUM_JERK_SPAN`, with other numbers:
-
-                    whole           its moving part
-    peak / mean     15/8 = 1.875    1.658
+its `moving_part`: of minimum jerk its `MINIMUM_JERK_SPAN`, with a peak of 1.658 times the mean, not
+15/8 = 1.875 as of the whole.
 """
 
 from __future__ import annotations
@@ -76,9 +74,8 @@ def count_peaks(speeds: ArrayLike) -> float:
     """Return the number of peaks in a profile that stand out by 5 % of the highest.
 
     A peak stands out by its prominence: how far the speed falls on both sides before it gets
-    higher.  The hand rests before and after the profile, so one that is fastest in its first step
-    has a peak there.  A single smooth submovement has 1, a hand at rest 0; NaN if a
-    speed is NaN.
+    higher.  The hand rests before and after the profile.  A single smooth submovement has 1, a hand
+    at rest 0; NaN if a speed is NaN.
 
     Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
     8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
@@ -104,9 +101,8 @@ def correlation_with_minimum_jerk(
     """Return Pearson's correlation of a profile with minimum jerk of the same duration.
 
     The reference are the distances ξ(τ_k) − ξ(τ_{k−1}) that minimum jerk covers in each of n steps
-    between two phases.  1 for minimum jerk of any size, at least −1; NaN at constant speed.
-    The `span` is the first and last phase of the reference; `MINIMUM_JERK_SPAN` for a
-    `moving_part`.
+    between the two phases `span`; `MINIMUM_JERK_SPAN` for a `moving_part`.  1 for minimum jerk of
+    any size, at least −1; NaN at constant speed.
 
     Source: Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
     https://doi.org/10.1523/JNEUROSCI.05-07-01688.1985.
@@ -150,8 +146,7 @@ def sparc(episode: Episode) -> float:
     −∫₀^{f_c} √((1/f_c)² + (dM̂/df)²) df, where M̂ is the magnitude of the profile's Fourier
     transform (padded with zeros) over its largest, and f_c the highest frequency, up to 10 Hz,
     with M̂ ≥ 0.05.  Submovements, pauses and tremor make it more negative; size and duration do
-    not.  It hardly distinguishes an exponential decay from a bell; `time_to_peak` and
-    `peak_to_mean` do.
+    not.
 
     Source: Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), J. NeuroEng. Rehabil.
     12, 112, https://doi.org/10.1186/s12984-015-0090-9; parameters as published.
@@ -184,8 +179,7 @@ def joint_effort(episode: Episode) -> float:
 def joint_work(episode: Episode) -> float:
     """Return ∫ Σ_i |τ_i q̇_i| dt over the servos of all joints i, mass · length² / s².
 
-    Braking counts as much as driving, as in muscles and in motors that recover no energy.  NaN
-    where `joint_effort` is.
+    Braking counts as much as driving.  NaN where `joint_effort` is.
 
     Absolute work as the cost of a reach: Alexander (1997), Biol. Cybern. 76, 97–105.
     """

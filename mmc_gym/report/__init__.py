@@ -10,21 +10,26 @@ import base64
 import io
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
+import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from numpy.typing import ArrayLike
 
 from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym._files import write_atomically
-from mmc_gym._tables import count, plain, to_html, to_markdown
+from mmc_gym._tables import plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
+from mmc_gym.envs import render
 from mmc_gym.measures import MEASURES
+from mmc_gym.measures.episode import Floats
 from mmc_gym.report import tables
-from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, listed, read_results
+from mmc_gym.report.results import REPLAYED_INSTANCES, Results, listed, read_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,16 +77,24 @@ def write_report(
 
         experiments = read_experiments(store)
     if experiments and not (Path(store) / MANIFEST).exists():
-        shown = _titles(experiments, focus)
+        known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
+        for name in focus:
+            if name not in known:
+                raise unknown("focus", name, known)
+        names = listed([one.experiment.name for one in experiments])
+        headline = f"Learning over trials in {names}."
+        shown: dict[str, Any] = {"title": listed(list(focus) or known), "headline": headline}
     else:
         results = read_results(Path(store), resamples, focus, yardstick)
         focus, shown = results.focus, _of_benchmark(results, format)
-    shown["experiments"] = [_of_experiment(one, focus) for one in experiments]
-    return write_atomically(out, _render(shown, format))
-
-
-def _render(shown: Mapping[str, Any], format: Format) -> str:
-    """Return the report as HTML or Markdown."""
+    shown["experiments"] = [
+        {
+            "experiment": one.experiment,
+            "table": tables.experiment_table(one, focus),
+            "source": _picture(one.plot()),
+        }
+        for one in experiments
+    ]
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
         autoescape=True,  # users choose the names of agents
@@ -95,34 +108,11 @@ def _render(shown: Mapping[str, Any], format: Format) -> str:
         "plain": plain,
         "markdown": to_markdown,
     }
-    pages.globals |= {"count": count, "version": version("mmc-gym"), "results": None}
-    return pages.get_template(f"report.{format}.j2").render(shown)
-
-
-def _titles(experiments: Sequence[ExperimentResult], focus: Sequence[str]) -> dict[str, Any]:
-    """Return title and headline of a report without a benchmark."""
-    known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
-    for name in focus:
-        if name not in known:
-            raise unknown("focus", name, known)
-    names = listed([one.experiment.name for one in experiments])
-    return {
-        "title": listed(list(focus) or known),
-        "headline": f"Learning over trials in {names}.",
-    }
-
-
-def _of_experiment(result: ExperimentResult, focus: Sequence[str]) -> dict[str, Any]:
-    """Return what the report shows of an experiment."""
-    return {
-        "experiment": result.experiment,
-        "table": tables.experiment_table(result, focus),
-        "source": _picture(result.plot()),
-    }
+    pages.globals |= {"version": version("mmc-gym"), "results": None}
+    return write_atomically(out, pages.get_template(f"report.{format}.j2").render(shown))
 
 
 def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
-    """Return what the report shows of a benchmark."""
     shown: dict[str, Any] = {
         "results": results,
         "title": listed(results.focus),
@@ -146,27 +136,23 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
 
 def _headline(results: Results) -> str:
     """Return how good the agents in focus are, in a sentence for each."""
-    success, said = MEASURES["success"], []
-    for row in results.ranking.to_dict("records"):
+    success, said, ranking = MEASURES["success"], [], results.ranking
+    for row in ranking.to_dict("records"):
         if row["agent"] in results.focus:
             interval = success.interval(row["success_low"], row["success_high"])
             share = f"{success.quantity(row['success'])} of its episodes {interval}".rstrip()
-            rank = f"rank {row['rank']} of {len(results.ranking)}"
+            rank = f"rank {row['rank']} of {len(ranking)}"
             said.append(f"{row['agent']} ends at the target in {share}, {rank}.")
     return " ".join(said)
 
 
 def _learning_curves(results: Results) -> str | None:
-    """Return a picture of the learning curves of all agents.
-
-    There is none if no agent in focus has a curve, or if the seeds of no agent overlap.
-    """
+    """Return a picture of all learning curves, if an agent in focus has one and seeds overlap."""
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
     from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves
 
-    cards = {agent: results.identities[agent].cards for agent in results.agents}
-    curves = curve_rows({agent: found for agent, found in cards.items() if found})
+    curves = curve_rows({agent: results.identities[agent].cards for agent in results.agents})
     by_steps, by_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if by_steps.empty or by_time.empty:
         return None
@@ -183,3 +169,129 @@ def _picture(figure: Figure) -> str:
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+# The data of the replay: a few movements, as compact JSON, first those in which the focus fails.
+#
+# Positions and angles are in thousandths, distances from the target in ten-thousandths.  Every
+# value but the first of a series is the difference from the one before, so that most have one to
+# three digits.  Under a visuomotor rotation the data hold hand and cursor; the distance is the
+# cursor's.
+
+_SIDE_BY_SIDE = 4  # agents shown at first
+_COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
+_FITS = 0.02  # largest distance between an arm's end and its hand, segment lengths
+_SEEN_APART = 0.001  # segment lengths between a hand and a cursor
+_COARSE, _FINE = 1_000, 10_000  # parts of one
+
+
+def replay(results: Results) -> dict[str, Any]:
+    """Return movements by scenario, instance and agent, and the settings of the scenarios.
+
+    Trained agents are shown by their first training.
+    """
+    paths = results.paths
+    if "hand_z" in paths:  # it shows the plane
+        paths = paths[paths["hand_z"].isna()]
+    recorded = set() if paths.empty else set(paths["environment"])
+    scenes = {key: _scenes(results, key) for key in results.replayed_scenarios if key in recorded}
+    there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
+    return {
+        "worlds": {
+            key: {"step": one.control_step, "lengths": one.segment_lengths, "near": one.tolerance}
+            for key, one in results.environments.items()
+            if key in scenes
+        },
+        "agents": [agent for agent in results.replayed if agent in there],
+        "scenes": scenes,
+        "chosen": results.replayed[:_SIDE_BY_SIDE],
+        "colours": {
+            name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(render, name)) for name in _COLOURS
+        },
+    }
+
+
+def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
+    """Return target and movements of each episode that is shown, failures of the focus first."""
+    paths = results.paths[results.paths["environment"] == environment]
+    failed: dict[int, list[str]] = {}
+    for agent in results.focus:
+        for instance in results.replayed_failures.get((agent, environment), []):
+            failed.setdefault(instance, []).append(agent)
+    instances = sorted(paths["instance"].unique(), key=lambda one: (one not in failed, one))
+    instances = instances[: max(REPLAYED_INSTANCES, len(failed))]
+    steps = _steps_of_first_trainings(paths[paths["instance"].isin(instances)])
+    lengths = results.environments[environment].segment_lengths
+    scenes = []
+    for instance in instances:
+        played = {agent: steps[instance, agent] for number, agent in steps if number == instance}
+        target = max((_points(one, "target") for one in played.values()), key=len)
+        shown = target if np.ptp(target, axis=0).max() > 0 else target[:1]
+        agents = [agent for agent in results.replayed if agent in played]
+        scenes.append(
+            {
+                "instance": int(instance) + 1,
+                "failed": failed.get(instance, []),
+                "target": [_compact(column) for column in shown.T],
+                "agents": {agent: _movement(played[agent], lengths) for agent in agents},
+            }
+        )
+    return scenes
+
+
+def _steps_of_first_trainings(paths: pd.DataFrame) -> dict[tuple[int, str], dict[str, Floats]]:
+    """Return the columns of each agent's lowest training seed, by instance and agent."""
+    paths = paths.sort_values("step", kind="stable")
+    numbers = paths.drop(columns=["agent", "environment"])
+    columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
+    found = {}
+    groups: Any = paths.groupby(["instance", "agent"], observed=True).indices
+    for key, rows in groups.items():
+        seeds = np.nan_to_num(columns["training_seed"][rows])
+        first = rows[seeds == seeds.min()]
+        found[key] = {name: values[first] for name, values in columns.items()}
+    return found
+
+
+def _points(steps: Mapping[str, Floats], name: str) -> Floats:
+    return np.stack([steps[f"{name}_x"], steps[f"{name}_y"]], axis=-1)
+
+
+def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, Any]:
+    hand, cursor, target = (_points(steps, name) for name in ("hand", "cursor", "target"))
+    joints = [values for name, values in steps.items() if name.startswith("joint_angle_")]
+    angles = np.array(joints).reshape(-1, len(hand)).T
+    angles = angles[:, ~np.isnan(angles).all(axis=0)]  # others may have arms of more segments
+    distance = np.linalg.norm(cursor - target, axis=-1)
+    movement: dict[str, Any] = {
+        "hand": [_compact(column) for column in hand.T],
+        "distance": _compact(distance, _FINE),
+    }
+    if np.abs(cursor - hand).max() > _SEEN_APART:
+        movement["cursor"] = [_compact(column) for column in cursor.T]
+    if angles.size and angles.shape[1] == len(given) and not np.isnan(angles).any():
+        movement["angles"] = [_compact(column) for column in angles.T]
+        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, given)]
+    return movement
+
+
+def _lengths(angles: Floats, hand: Floats, given: Sequence[float]) -> list[float]:
+    """Return the segment lengths, nearest to the given, that put the end of the arm at the hand."""
+    turned = np.cumsum(angles, axis=1)
+    design = np.concatenate([np.cos(turned), np.sin(turned)])
+    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(given)
+    if np.abs(missed).max() <= _FITS:
+        return list(given)
+    change, *_ = np.linalg.lstsq(design, missed, rcond=None)
+    return [max(float(length), 0.0) for length in np.asarray(given) + change]
+
+
+def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
+    """Return values in parts of one, such as thousandths: the first, then the differences.
+
+    >>> _compact([1.0, 1.002, 0.9995])
+    [1000, 2, -2]
+    """
+    whole = np.rint(parts * np.asarray(values, dtype=np.float64)).astype(int)
+    compact: list[int] = np.diff(whole, prepend=0).tolist()
+    return compact

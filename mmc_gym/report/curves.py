@@ -8,8 +8,7 @@ episodes.  At a point x the curve of a name, such as "ppo", is the mean over its
 where x_e are the points of the evaluations of s.  The curve begins where all seeds have been
 evaluated, and ends with the shortest training.
 
-Time is the CPU time of the training process, because wall time depends on what else the machine
-does.  A training runs on one thread: on an idle core its wall time is the same.
+Time is the CPU time of the training process, which on an idle core is its wall time.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter, PercentFo
 
 from mmc_gym._errors import UserError, require
 from mmc_gym._plotting import LINES, STYLE
+from mmc_gym._tables import count
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.agents.resolver import Agents, resolve_all
@@ -57,8 +57,8 @@ def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:
 def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
     """Return all learning curves: a row for each evaluation of a training.
 
-    Columns agent, seed, steps (environment steps), seconds (wall time), cpu_seconds, success (part
-    of the episodes), and the other scores of the evaluations; NaN where one is missing.
+    Columns agent, seed, steps (of the environment), seconds (wall time), cpu_seconds, success (part
+    of the episodes), and the other scores; NaN where one is missing.
     """
     rows: list[dict[str, Any]] = []
     for name, group in cards.items():
@@ -72,10 +72,9 @@ def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
 def mean_curves(curves: pd.DataFrame, against: Literal["steps", "cpu_seconds"]) -> pd.DataFrame:
     """Return the mean success of each name over its training seeds, with 95 % intervals.
 
-    Its points `against` steps or time are the evaluations of the longest training between the last
-    seed's first evaluation and the end of the shortest training, and that end.  One seed has no
-    interval.  From `curves` of `curve_rows` return the columns agent, `against`, success, low, high
-    and seeds; names whose seeds do not overlap are missing.
+    The `curves` are those of `curve_rows`.  Columns agent, `against`, success, low, high and seeds.
+    The points are the evaluations of the longest training between the last seed's first evaluation
+    and the end of the shortest training, and that end; names whose seeds do not overlap have none.
     """
     rows = []
     for agent, group in curves.groupby("agent", sort=False):
@@ -122,26 +121,31 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
     return figure
 
 
+def _look(number: int) -> dict[str, Any]:
+    return {
+        "color": _COLOURS[number % len(_COLOURS)],
+        "linestyle": LINES[number % len(LINES)],
+        "marker": _MARKERS[number % len(_MARKERS)],
+    }
+
+
 def _draw_curves(axes: Axes, curves: pd.DataFrame, along: pd.Series[float]) -> None:
     for level in (0.95, 0.98):
         axes.axhline(level, color="0.4", linestyle=":", linewidth=0.6, zorder=0)
     groups = curves.assign(along=along).groupby("agent", sort=False)
     for number, (agent, curve) in enumerate(groups):
-        colour = _COLOURS[number % len(_COLOURS)]
-        count = curve["seeds"].iloc[0]
+        look = _look(number)
         band = curve["along"], curve["low"], curve["high"]
-        axes.fill_between(*band, color=colour, alpha=0.18, linewidth=0)
+        axes.fill_between(*band, color=look["color"], alpha=0.18, linewidth=0)
         axes.plot(
             curve["along"],
             curve["success"],
-            color=colour,
-            linestyle=LINES[number % len(LINES)],
+            **look,
             linewidth=1.2,
-            marker=_MARKERS[number % len(_MARKERS)],
             markersize=3.5,
             markerfacecolor="white",
             markevery=(0.01 * (number % 9), 0.09),  # of the panel's diagonal
-            label=f"{agent} ({count} seed{'s' if count > 1 else ''})",
+            label=f"{agent} ({count(curve['seeds'].iloc[0], 'seed')})",
         )
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
@@ -174,12 +178,7 @@ def draw_generalisation(results: Results) -> Figure:
                     for strength, name in scenarios.items()
                     if agent in results.successes[name].scores.values
                 }
-                look = {
-                    "color": _COLOURS[number % len(_COLOURS)],
-                    "linestyle": LINES[number % len(LINES)],
-                    "marker": _MARKERS[number % len(_MARKERS)],
-                }
-                axes.plot([*found], [*found.values()], markersize=3, label=agent, **look)
+                axes.plot([*found], [*found.values()], markersize=3, label=agent, **_look(number))
             axes.set(xlabel=f"{family} [{FAMILIES[family].unit}]", ylim=(-0.02, 1.02))
             axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
         for row in drawn:

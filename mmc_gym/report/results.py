@@ -45,9 +45,6 @@ REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
 
 SCORE_RESAMPLES = 500  # at most, for each of the thousands of intervals of single scenarios
 
-_USED = ("success", "time_to_target", "duration", "final_distance")
-"""Columns of episodes that the report needs, whatever the tables of measures show."""
-
 ALL = "all scenarios"
 
 
@@ -66,8 +63,7 @@ class AgentIdentity:
         if self.name in AGENTS:
             about = AGENTS[self.name].description
             return about if self.name == label else f"{self.name}: {about}"
-        kind = self.knowledge.kind
-        return "your own" if kind == "yours" else kind
+        return self.knowledge.kind.replace("yours", "your own")
 
     @property
     def training(self) -> str:
@@ -93,10 +89,7 @@ class AgentIdentity:
 
 
 def identify(policies: Iterable[Policy]) -> AgentIdentity:
-    """Return who an agent is, from its trainings in the manifest.
-
-    Its name and knowledge are those of all of them; if these differ, they count as unknown.
-    """
+    """Return who an agent is: name and knowledge of its trainings, unknown if these differ."""
     trainings = list(policies)
     facts = {(one.name, one.knowledge) for one in trainings}
     name, knowledge = facts.pop() if len(facts) == 1 else ("", UNKNOWN)
@@ -114,6 +107,12 @@ class Environment:
     control_step: float = math.nan  #: seconds
     segment_lengths: tuple[float, ...] = ()  #: of the arm that agents are given
     tolerance: float = math.nan  #: distance from the target that counts as success, segment lengths
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Environment:
+        """Return the scenario of an entry in the manifest; what this lacks has its default."""
+        known = {one.name: settings.get(one.name) for one in fields(cls)}
+        return cls(**{name: value for name, value in known.items() if value is not None})
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,10 +211,10 @@ class Results:
     @cached_property
     def successes(self) -> dict[str, Bootstrap]:
         """For `ALL` and each scenario, the success of the agents that attempted it."""
-        scores = attempted_scores(self.episodes, self._not_played)
-        frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
+        groups = self._attempted.groupby("environment", sort=False)
+        frames = {str(name): rows for name, rows in groups}
         if not self.ranking.empty and len(frames) > 1:
-            frames[ALL] = ranked_scores(scores)
+            frames[ALL] = ranked_scores(self._attempted)
         # As many of all as the ranking has, so that both say the same.
         resamples = {ALL: self.ranking_resamples}
         return {
@@ -227,7 +226,7 @@ class Results:
     @cached_property
     def places(self) -> dict[Place, Bootstrap]:
         """The success over all scenarios of a place that all agents attempted."""
-        scores, found = attempted_scores(self.episodes, self._not_played), {}
+        scores, found = self._attempted, {}
         for place in PLACES:
             names = [name for name, one in self.judged.items() if one.place == place]
             with suppress(UserError):  # there is none
@@ -235,52 +234,43 @@ class Results:
                 found[place] = Bootstrap.of(here, "success", self.resamples)
         return found
 
-    @property
-    def _not_played(self) -> list[CellKey]:
-        return [one.key for one in self.manifest.not_played]
+    @cached_property
+    def _attempted(self) -> pd.DataFrame:
+        return attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
 
     @property
     def sample_sizes(self) -> str:
         """The number of episodes, and of the trainings of agents that have several, in words."""
         instances = self.episodes.groupby("environment")["instance"].nunique()
         seeds = self.episodes.groupby("agent")["training_seed"].nunique()
-        several = [f"{agent} {number}" for agent, number in seeds.items() if number > 1]
-        trainings = (
-            f" Trainings: {', '.join(several)}; of the others one or none." if several else ""
-        )
+        several = ", ".join(f"{agent} {number}" for agent, number in seeds.items() if number > 1)
+        trainings = several and f" Trainings: {several}; of the others one or none."
         each = " in each scenario" if len(instances) > 1 else ""
-        return (
-            f"Episodes{each}: {_span(instances)}, the same starts and targets for all.{trainings}"
-        )
+        least, most = instances.min(), instances.max()
+        span = str(least) if least == most else f"{least} to {most}"
+        return f"Episodes{each}: {span}, the same starts and targets for all.{trainings}"
 
     @property
     def settings(self) -> list[str]:
         """The settings that the scenarios were played with, a line each."""
-        worlds = self.environments.items()
-        own = {"task", "perturbations"}
-        return [
-            f"{what}: {_alike({name: show(one) for name, one in worlds})}."
-            for what, show in (
-                ("Success: distance to the target at the end of at most", _tolerance),
-                ("Control step", lambda one: f"{one.control_step:g} s"),
-                ("Segment lengths that agents are given", _lengths),
-                ("Other arguments of the environment", lambda one: _arguments(one, own)),
-            )
-            if any(map(show, self.environments.values()))
-        ]
-
-
-def _tolerance(one: Environment) -> str:
-    return "as it says" if math.isnan(one.tolerance) else f"{one.tolerance:g}"
-
-
-def _lengths(one: Environment) -> str:
-    return ", ".join(f"{length:g}" for length in one.segment_lengths)
-
-
-def _arguments(one: Environment, without: Iterable[str]) -> str:
-    given = {name: value for name, value in one.kwargs.items() if name not in without}
-    return ", ".join(f"{name}={value}" for name, value in given.items())
+        found: dict[str, dict[str, str]] = {}
+        for name, one in self.environments.items():
+            given = {k: v for k, v in one.kwargs.items() if k not in ("task", "perturbations")}
+            texts = {
+                "Success: distance to the target at the end of at most": (
+                    "as it says" if math.isnan(one.tolerance) else f"{one.tolerance:g}"
+                ),
+                "Control step": f"{one.control_step:g} s",
+                "Segment lengths that agents are given": ", ".join(
+                    f"{length:g}" for length in one.segment_lengths
+                ),
+                "Other arguments of the environment": ", ".join(
+                    f"{key}={value}" for key, value in given.items()
+                ),
+            }
+            for what, text in texts.items():
+                found.setdefault(what, {})[name] = text
+        return [f"{what}: {_alike(own)}." for what, own in found.items() if any(own.values())]
 
 
 def _alike(texts: Mapping[str, str]) -> str:
@@ -302,11 +292,6 @@ def listed(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
-def _span(counts: pd.Series[int]) -> str:
-    least, most = (counts.min(), counts.max()) if len(counts) else (0, 0)
-    return str(least) if least == most else f"{least} to {most}"
-
-
 def read_results(
     store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = (), yardstick: str = ""
 ) -> Results:
@@ -318,26 +303,25 @@ def read_results(
     require_all_cells(store, manifest)
     measures = measures_of(manifest.measures)
     shown = [one.name for one in measures.values() if one.shown]
-    played = read_episodes(store, [*shown, *_USED])
+    used = ("success", "time_to_target", "duration", "final_distance")  # whatever tables show
+    played = read_episodes(store, [*shown, *used])
     episodes = leave_out_failures(_compact(played), measures.values())
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
     chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
     if yardstick and yardstick not in identities:
         raise unknown("yardstick", yardstick, identities)
-    ranking, present = pd.DataFrame(), set(episodes["environment"].unique())
+    ranking, best, present = pd.DataFrame(), "", set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
         lost = [one.key for one in manifest.not_played]
         controls = {agent: manifest.control(agent) for agent in names}
-        ranking = rank_agents(
-            episodes, lost, baseline=chosen[0], resamples=resamples, controls=controls
-        )
-    best = next(iter(ranking["agent"] if len(ranking) else ()), "")
+        ranking = rank_agents(episodes, lost, chosen[0], resamples, controls=controls)
+        best = str(ranking["agent"].iloc[0])
     return Results(
         manifest=manifest,
         episodes=episodes,
         environments={
-            key: _environment(manifest.environments.get(key, {}))
+            key: Environment.of(manifest.environments.get(key, {}))
             for key in dict.fromkeys([*manifest.environments, *sorted(present)])
             if key in present
         },
@@ -352,7 +336,7 @@ def read_results(
         resamples=min(resamples, SCORE_RESAMPLES),
         ranking_resamples=resamples,
         store=store,
-        yardstick=yardstick or str(best),
+        yardstick=yardstick or best,
     )
 
 
@@ -362,14 +346,8 @@ def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tup
         if name not in identities:
             raise unknown("focus", name, identities)
     own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
-    named = [name for name in identities if name != REFERENCE] or list(identities)
-    return tuple(dict.fromkeys(asked)) or tuple(own) or (named[0],)
-
-
-def _environment(settings: Mapping[str, Any]) -> Environment:
-    """Return the scenario of an entry in the manifest; what this lacks has its default."""
-    names = {one.name for one in fields(Environment)} & settings.keys()
-    return Environment(**{name: settings[name] for name in names if settings[name] is not None})
+    first = sorted(identities, key=lambda name: name == REFERENCE)[:1]
+    return tuple(dict.fromkeys(asked or own or first))
 
 
 def _compact(frame: pd.DataFrame) -> pd.DataFrame:

@@ -32,17 +32,15 @@ def ranking_table(results: Results) -> Table | None:
     ranking = results.ranking
     if ranking.empty:
         return None
-    first = results.focus[0]
+    longer = f"settled for longer than {results.focus[0]}"
     shares = {
         "success": Heading("success", "%", _BETTER["high"]),
         "settled": Heading("settled", "% of the episode", _BETTER["high"]),
     }
     explained = ""
     if len(ranking) > 1 and ranking["improvement"].notna().any():
-        shares["improvement"] = Heading(f"settled for longer than {first}", "%", _BETTER["high"])
-        explained = (
-            f" Settled for longer than {first}: in what part of the same episodes, 50 % if equal."
-        )
+        shares["improvement"] = Heading(longer, "%", _BETTER["high"])
+        explained = f" S{longer[1:]}: in what part of the same episodes, 50 % if equal."
     has_blocks = ranking["control"].nunique() > 1
     environments = int(ranking["environments"].iloc[0])
     left_out = len(results.environments) - environments
@@ -71,12 +69,10 @@ def ranking_table(results: Results) -> Table | None:
 
 
 def _share(estimate: float, low: float, high: float, look: str = "") -> Cell:
-    """Return a fraction in percent, with its interval."""
     return Cell(_SUCCESS.number(estimate), _notes(_SUCCESS.interval(low, high)), look=look)
 
 
 def _row(results: Results, agent: str, cells: Sequence[Cell], note: str = "") -> Row:
-    """Return the row of an agent, marked if it is in focus."""
     return Row(agent, tuple(cells), note, "focus" if agent in results.focus else "")
 
 
@@ -139,11 +135,10 @@ def generalisation_table(results: Results) -> Table | None:
             ends = f"[{_signed(lost.low)}, {_signed(lost.high)}]"
             note = "" if agent == best else f"{_signed(lost.estimate)} {ends}"
             cells.append(Cell(_SUCCESS.number(own.estimate), _notes(note)))
-        both = {name: results.successes[name] for name in results.judged}
         lost_in = {
-            name: found.difference(best, agent).estimate
-            for name, found in both.items()
-            if {agent, best} <= found.scores.values.keys()
+            name: results.successes[name].difference(best, agent).estimate
+            for name in results.judged
+            if {agent, best} <= results.successes[name].scores.values.keys()
         }
         worst = sorted(lost_in, key=lambda name: -lost_in[name])[:_LOST]
         most = [f"{name} {_signed(lost_in[name])}" for name in worst if lost_in[name] > 0]
@@ -167,10 +162,10 @@ def given_table(results: Results) -> Table:
     """Return what each agent is, what it is given, what it senses, and how long it trained."""
     rows = []
     for agent in results.agents:
-        identity = results.identities[agent]
-        known = identity.knowledge
-        cells = map(Cell, (identity.training, known.lengths, known.actions, known.senses))
-        rows.append(_row(results, agent, tuple(cells), note=identity.about(agent)))
+        who = results.identities[agent]
+        known = who.knowledge
+        cells = map(Cell, (who.training, known.lengths, known.actions, known.senses))
+        rows.append(_row(results, agent, tuple(cells), note=who.about(agent)))
     labels = ("agent", "training", "segment lengths", "what actions do", "senses")
     return Table(
         headings=tuple(map(Heading, labels)),
@@ -199,8 +194,7 @@ def failure_table(results: Results) -> Table | None:
             Cell(f"{possible} of {len(instances)}"),
             Cell(MEASURES["final_distance"].number(failed["final_distance"].median())),
         )
-        share = len(failed) / len(mine)
-        rows.append((share, _row(results, f"{agent} in {name}", cells)))
+        rows.append((len(failed) / len(mine), Row(f"{agent} in {name}", cells)))
     if not rows:
         return None
     labels = ("agent and scenario", "failed", "replay of episode", "where another agent arrives")
@@ -281,8 +275,8 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     facts = measures.drop_duplicates("measure").to_dict("records")
     rows = []
     for agent, own in measures.groupby("agent", sort=False):
-        found = {row["measure"]: row for row in own.to_dict("records")}
-        cells = tuple(_learning_cell(found.get(one["measure"])) for one in facts)
+        found = {row["measure"]: _learning_cell(row) for row in own.to_dict("records")}
+        cells = tuple(found.get(one["measure"], NONE) for one in facts)
         look = "people" if agent == PEOPLE else "focus" if agent in focus else ""
         rows.append(Row(str(agent), cells, look=look))
     cited = people(result.experiment.family).values()
@@ -298,12 +292,8 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     )
 
 
-def _learning_cell(row: Mapping[Hashable, Any] | None) -> Cell:
-    """Return the cell of a row of `ExperimentResult.measures`; None: it has no value."""
-    if row is None:
-        return NONE
+def _learning_cell(row: Mapping[Hashable, Any]) -> Cell:
     if row["agent"] == PEOPLE:
         return Cell(span(row["low"], row["high"]), (row["source"],))
-    decimals = row["decimals"]
-    text = number(row["estimate"], decimals)
-    return Cell(text, _notes(interval(row["low"], row["high"], decimals)))
+    ends = interval(row["low"], row["high"], row["decimals"])
+    return Cell(number(row["estimate"], row["decimals"]), _notes(ends))

@@ -14,8 +14,7 @@ from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.cli import main
 from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.experiments.trials import run_experiment
-from mmc_gym.report import write_report
-from mmc_gym.report.replay import replay
+from mmc_gym.report import replay, write_report
 from mmc_gym.report.results import read_results
 
 HOSTILE = "<script>alert(1)</script>"

@@ -7,8 +7,7 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import rank_agents
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
-from mmc_gym.report import tables, write_report
-from mmc_gym.report.replay import replay
+from mmc_gym.report import replay, tables, write_report
 from mmc_gym.report.results import read_results
 
 
