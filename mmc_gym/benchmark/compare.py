@@ -245,11 +245,8 @@ class Comparison:
         both = np.all([np.isfinite(one).any(axis=0) for one in tables.values()], axis=0)
         if not both.any():
             return Estimate(math.nan, math.nan, math.nan)
-        scores = Scores(
-            instances=(int(both.sum()),),
-            values={label: (table[:, both],) for label, table in tables.items()},
-            seeds={label: len(table) for label, table in tables.items()},
-        )
+        values = {label: (table[:, both],) for label, table in tables.items()}
+        scores = Scores((int(both.sum()),), values)
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from statistics import NormalDist
@@ -66,7 +66,8 @@ class Scores:
     instances: tuple[int, ...]  #: number of instances in each environment
     #: by agent, E arrays (policies, instances), the instances in the order of their names
     values: Mapping[str, tuple[Floats, ...]]
-    seeds: Mapping[str, int]  #: by agent, the number of training seeds; 0 without training
+    #: by agent, the number of training seeds; 0 without training
+    seeds: Mapping[str, int] = field(default_factory=dict)
 
 
 def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
@@ -372,7 +373,7 @@ def sample_interval(
         return _no_interval(present, missing)
     if is_sample:
         table = present[None]
-    scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
+    scores = Scores((table.shape[1],), {"": (table,)})
     found = Bootstrap(scores, resamples, seed).estimate("", statistic)
     if is_sample and statistic == "mean":  # not from shares, so that 7 of 20 is 0.35
         mean = float(np.clip(np.mean(present), present.min(), present.max()))

@@ -387,7 +387,8 @@ class Experiment:
             axes.plot(trials, strengths.where(clamped), **line, linestyle=":", label="error clamp")
         if plain["aim"].any():
             axes.step(trials, plain["aim"], "--", color="0.5", where="mid", label="instructed aim")
-        others, style = cycle("14.23"), {"linestyle": "", "markersize": 4, "color": "0.4"}
+        others = cycle("14.23")
+        style: Any = {"linestyle": "", "markersize": 4, "color": "0.4"}
         for name, of in table[table["probe"] != ""].groupby("probe", sort=False):
             marker = MARKS.get(of["kind"].iloc[-1]) or next(others)
             axes.plot(of["trial"], of["strength"], **style, marker=marker, label=name)

@@ -287,7 +287,7 @@ def learning_figure(
 def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
     for number, (agent, settings) in enumerate(result.settings.items()):
         learning = learning_of(result.movements_of(agent))
-        look = {
+        look: Any = {
             "color": COLOURS[number % len(COLOURS)],
             "linestyle": LINES[(number + number // len(COLOURS)) % len(LINES)],
         }

@@ -20,7 +20,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import ArrayLike
 
-from mmc_gym._errors import UserError, require, require_choice, unknown
+from mmc_gym._errors import UserError, require, require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym._tables import plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
@@ -79,8 +79,7 @@ def write_report(
     if experiments and not (Path(store) / MANIFEST).exists():
         known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
         for name in focus:
-            if name not in known:
-                raise unknown("focus", name, known)
+            require_choice("focus", name, known)
         names = listed([one.experiment.name for one in experiments])
         headline = f"Learning over trials in {names}."
         shown: dict[str, Any] = {"title": listed(list(focus) or known), "headline": headline}

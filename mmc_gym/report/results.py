@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mmc_gym._errors import UserError, unknown
+from mmc_gym._errors import UserError, require_choice
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
@@ -309,8 +309,8 @@ def read_results(
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
     chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
-    if yardstick and yardstick not in identities:
-        raise unknown("yardstick", yardstick, identities)
+    if yardstick:
+        require_choice("yardstick", yardstick, identities)
     ranking, best, present = pd.DataFrame(), "", set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
         lost = [one.key for one in manifest.not_played]
@@ -343,8 +343,7 @@ def read_results(
 def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
     """Return the agents `asked` for; without any, all of yours, or else the first one."""
     for name in asked:
-        if name not in identities:
-            raise unknown("focus", name, identities)
+        require_choice("focus", name, identities)
     own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
     first = sorted(identities, key=lambda name: name == REFERENCE)[:1]
     return tuple(dict.fromkeys(asked or own or first))
