@@ -124,9 +124,10 @@ def compare(
         out = check_folder(out, "out")
     scenario = parse_environment(env, env_kwargs, interface)
     envs: list[gym.Env[Any, Any]] = []
+    players: list[Predictor] = []
+    played: list[tuple[Episode, ...]] = []
     steps: dict[str, int | None] = {}
     controls: dict[str, str] = {}
-    players: list[Predictor] = []
     with ExitStack() as stack:
         for agent in found:
             made, player = make_player(agent, scenario)
@@ -136,8 +137,14 @@ def compare(
             steps[agent.label] = getattr(player, "training_steps", None)
             controls[agent.label] = str(read_attribute(made, "control"))
         arms = stack.enter_context(closing(Arms(scenario)))
-        played = _play(found, arms, envs, players, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
+        bar = stack.enter_context(progress_bar())
+        task = bar.add_task("", total=len(players) * len(seeds))
+        for agent, made, player in zip(found, envs, players):
+            bar.update(task, description=agent.label)
+            played.append(
+                play_episodes(arms, made, player, seeds, on_episode=lambda _: bar.advance(task))
+            )
     if has_reference(envs[0]):
         found.append(resolve(REFERENCE))
         played.append(minimum_jerk_episodes(played[0]))
@@ -245,8 +252,7 @@ class Comparison:
         both = np.all([np.isfinite(one).any(axis=0) for one in tables.values()], axis=0)
         if not both.any():
             return Estimate(math.nan, math.nan, math.nan)
-        values = {label: (table[:, both],) for label, table in tables.items()}
-        scores = Scores((int(both.sum()),), values)
+        scores = Scores((int(both.sum()),), {name: (of[:, both],) for name, of in tables.items()})
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property
@@ -456,21 +462,3 @@ def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) 
         columns = {**who, "episode": range(len(episodes)), **episode_columns(episodes)}
         tables.append(pd.DataFrame(columns).drop(columns="duration"))
     return pd.concat(tables, ignore_index=True).astype({"training_seed": "Int64"})
-
-
-def _play(
-    agents: Sequence[ResolvedAgent],
-    arms: Arms,
-    envs: Sequence[gym.Env[Any, Any]],
-    players: Sequence[Predictor],
-    seeds: Sequence[int],
-) -> list[tuple[Episode, ...]]:
-    with progress_bar() as progress:
-        task = progress.add_task("", total=len(players) * len(seeds))
-        played = []
-        for agent, env, player in zip(agents, envs, players):
-            progress.update(task, description=agent.label)
-            played.append(
-                play_episodes(arms, env, player, seeds, on_episode=lambda _: progress.advance(task))
-            )
-        return played
