@@ -129,7 +129,8 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
         if shown["generalisation"]:
             from mmc_gym.report.curves import draw_generalisation  # takes long
 
-            shown["strengths"] = _picture(draw_generalisation(results))
+            figure = draw_generalisation(results)
+            shown["strengths"] = figure and _picture(figure)
     return shown
 
 

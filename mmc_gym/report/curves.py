@@ -152,14 +152,19 @@ def _draw_curves(axes: Axes, curves: pd.DataFrame, along: pd.Series[float]) -> N
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def draw_generalisation(results: Results) -> Figure:
-    """Draw success against strength, a panel for each family, with the trained ranges shaded."""
+def draw_generalisation(results: Results) -> Figure | None:
+    """Draw success against strength, a panel for each family, with the trained ranges shaded.
+
+    A family has none if it was played at one strength only.
+    """
     panels = {
         family: {one.strength: name for name, one in results.judged.items() if one.family == family}
         for family in results.ranges
         if not FAMILIES[family].whole  # the number of a joint is no strength
     }
     panels = {family: dict(sorted(one.items())) for family, one in panels.items() if len(one) > 1}
+    if not panels:
+        return None
     names = [one for one in results.agents if results.kind(one) not in ("ideal", "baseline")]
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         rows = math.ceil(len(panels) / 4)

@@ -61,3 +61,10 @@ def test_the_report_says_where_an_agent_loses_against_the_yardstick(tmp_path):
     assert 'id="generalisation"' in page
     with pytest.raises(UserError, match="yardstick"):
         read_results(tmp_path, 50, yardstick="nobody")
+
+
+def test_a_report_of_one_strength_of_each_family_draws_no_curve_of_strengths(tmp_path):
+    benchmark(["ppo-drawn-0"], tmp_path, ["random", "rotation-40"], episodes=2, jobs=1)
+    page = write_report(tmp_path, tmp_path / "report.html", 50).read_text()
+    assert "Strengths that a training never had" in page
+    assert "Success against strength" not in page
