@@ -247,8 +247,8 @@ class Bootstrap:
         if np.any([table.any(axis=1) for table in known], axis=0).sum() > 1:
             return True
         # Environments with as many instances share their draw.
-        found = ((table.shape[1], table.any(axis=0)) for table in known)
-        return len({(count, at) for count, any_ in found for at in np.flatnonzero(any_)}) > 1
+        found = ((table.shape[1], np.flatnonzero(table.any(axis=0))[:2]) for table in known)
+        return len({(count, place) for count, places in found for place in places}) > 1
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and each agent's tables of environments that share it.

@@ -340,16 +340,16 @@ def run_experiment(
         if name in given:
             raise UserError(f"{name} must be left out of env_kwargs: the experiment sets it")
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
-    for label in keep:
-        require_choice("keep", label, [agent.label for agent in found])
+    labels = [agent.label for agent in found]
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shared = {"rate": rate, "retention": retention}
-    accepted = "a mapping of agents to mappings, such as {'slow': {'rate': 0.05}}"
     own = {} if learners is None else learners
     is_fine = isinstance(own, Mapping) and all(isinstance(one, Mapping) for one in own.values())
+    accepted = "a mapping of agents to mappings, such as {'slow': {'rate': 0.05}}"
     require(is_fine, "learners", learners, accepted)
-    for label in own:
-        require_choice("learners", label, [agent.label for agent in found])
+    for name, chosen in (("keep", keep), ("learners", own)):
+        for label in chosen:
+            require_choice(name, label, labels)
     whole = [
         TrialsCell(
             agent=agent,
@@ -368,27 +368,7 @@ def run_experiment(
         if _subjects_in(plan) < subjects:
             write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
     cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
-    return _result([read_table(one) for one in _played(cells, folder, jobs, on_progress)])
-
-
-def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what an agent learns with, all of `LEARNED`; raise a `UserError` for a wrong one."""
-    for name in given:
-        require_choice("learners", name, LEARNED)
-    several = {name: given[name] for name in LEARNED[:2]}  # of states
-    shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
-    parts = Parts(**{**given, **shares})
-    return {name: getattr(parts, name) for name in LEARNED}
-
-
-def _played(
-    cells: Sequence[TrialsCell],
-    folder: Path | None,
-    jobs: int | None,
-    on_progress: Callable[[int, int], None],
-) -> list[bytes]:
-    """Return the files of cells: those that the folder keeps, and the others played now."""
-    paths = [folder and folder / _file_name(cell.stem, cell.subjects) for cell in cells]
+    paths = [folder and folder / _file_name(one.stem, one.subjects) for one in cells]
     kept = [_content(path, cell) if path else None for path, cell in zip(paths, cells)]
     missing = [number for number, content in enumerate(kept) if content is None]
     on_progress(len(cells) - len(missing), len(cells))
@@ -400,7 +380,17 @@ def _played(
         on_progress(len(cells) - kept.count(None), len(cells))
 
     run_grid(run_cell, [cells[number] for number in missing], jobs=jobs, on_result=keep_file)
-    return [content for content in kept if content is not None]
+    return _result([read_table(content) for content in kept if content is not None])
+
+
+def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what an agent learns with, all of `LEARNED`; raise a `UserError` for a wrong one."""
+    for name in given:
+        require_choice("learners", name, LEARNED)
+    several = {name: given[name] for name in LEARNED[:2]}  # of states
+    shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
+    parts = Parts(**{**given, **shares})
+    return {name: getattr(parts, name) for name in LEARNED}
 
 
 def _content(path: Path, cell: TrialsCell) -> bytes | None:
