@@ -185,23 +185,16 @@ def fit_curve(
     else:
         values, predicted = np.empty(0), np.zeros_like(curve)
     count, square = int(known.sum()), float(((predicted - curve)[known] ** 2).sum())
-    if not count:
-        unknown = dict.fromkeys(PARAMETERS[model], math.nan)
-        return Fit(model, unknown, predicted, math.nan, math.nan, math.nan, trials=0)
-    is_fitted = count > len(values) and not math.isnan(square)
-    spread = float(np.var(curve[known])) * count
-    # Of exact curves, few parameters win.
-    least = _EXACT * float((curve[known] ** 2).sum()) + 1e-300
-    bic = count * math.log((square + least) / count) + len(values) * math.log(count)
-    return Fit(
-        model,
-        dict(zip(PARAMETERS[model], values.tolist(), strict=True)),
-        predicted,
-        square / count if is_fitted else math.nan,
-        1 - square / spread if is_fitted and spread > 0 else math.nan,
-        bic if is_fitted else math.nan,
-        count,
-    )
+    mean_square = r_squared = bic = math.nan
+    if count > len(values) and not math.isnan(square):
+        spread = float(np.var(curve[known])) * count
+        # Of exact curves, few parameters win.
+        least = _EXACT * float((curve[known] ** 2).sum()) + 1e-300
+        mean_square = square / count
+        r_squared = 1 - square / spread if spread > 0 else math.nan
+        bic = count * math.log((square + least) / count) + len(values) * math.log(count)
+    parameters = dict(zip(PARAMETERS[model], values.tolist(), strict=True))
+    return Fit(model, parameters, predicted, mean_square, r_squared, bic, count)
 
 
 def choose_states(
