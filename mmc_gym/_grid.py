@@ -76,9 +76,8 @@ def run_grid(
             listens there.  A node with other sources of `mmc_gym` refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
-            continues without it, and its result is None.  Then even a single cell is computed in
-            another process, unless `jobs` is 1.  By default such a death ends the grid, as any
-            error does.
+            continues, and the result is None.  Then even a single cell is computed in another
+            process, unless `jobs` is 1.  By default such a death ends the grid, as any error does.
 
     Raises:
         CellError: if `function` raised.  Before it is raised, the cells that have begun are
@@ -213,11 +212,7 @@ def _end_with(parent: int) -> None:
 
 
 class _Ray:
-    """A Ray cluster, with the methods of `_Processes`.
-
-    If a node or worker dies, Ray itself begins its calls again, and makes the results anew that
-    were lost with the node.
-    """
+    """A Ray cluster, with the methods of `_Processes`; it repeats calls that die with a node."""
 
     def __init__(self, cluster: str, jobs: int | None) -> None:
         import ray

@@ -99,8 +99,8 @@ def compare(
             Measures of what it does not report are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
-        wrapper: a function of the environment, or "module:function", that puts it into the wrappers
-            of a model's training; for all models of stable-baselines3, or a mapping of labels.
+        wrapper: of models of stable-baselines3, a function of the environment, or
+            "module:function", with the wrappers of their training; or a mapping of labels to these.
         explain: whether to print all of how to read the numbers, see `Comparison.explanation`.
 
     >>> comparison = compare(["random"], episodes=2)

@@ -6,8 +6,7 @@
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
 an environment.  Every file is written atomically and carries, in its schema's metadata, the
-settings that it was made with.  So an interrupted run resumes, and damaged or outdated cells are
-played again.  Any reader of Parquet can query the folders as they are.
+settings that it was made with: damaged or outdated cells are played again.
 """
 
 from __future__ import annotations

@@ -76,8 +76,9 @@ def run_episodes(
 ) -> tuple[Episode, ...]:
     """Let `agent` play one episode per seed, without exploration.
 
-    A single environment plays the episodes in turn, a vector environment all at once.  Each episode
-    depends on its own seed only.  PyTorch, if loaded, computes on one thread.
+    A single environment plays the episodes in turn, a vector environment all at once, with the same
+    results, except that action times are NaN, and that agents may sample other actions.  Each
+    episode depends on its own seed only.  PyTorch, if loaded, computes on one thread.
 
     Args:
         agent: chooses the actions; its memory is in the state that `predict` returns.
@@ -87,10 +88,6 @@ def run_episodes(
         on_episode: called with each episode at its end, to show progress.
         options: given to the environment's reset, one mapping per episode, such as `{"trial": 3}`.
         records_effort: whether to record the effort of the servos; NaN otherwise.
-
-    Returns:
-        The episodes, in the order of the seeds.  A vector environment gives the same as a single
-        one, except that action times are NaN, and that agents may sample other actions.
 
     Raises:
         UserError: if the environment does not report what the measures need, or the number of
