@@ -11,9 +11,10 @@ import inspect
 import math
 import sys
 from collections.abc import Callable, Container, Iterable
+from dataclasses import dataclass
 from difflib import get_close_matches
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -221,6 +222,12 @@ def require_choice(name: str, value: object, known: Iterable[object]) -> None:
     known = tuple(known)
     if not (value is None or isinstance(value, str)) or value not in known:
         raise unknown(name, value, known)
+
+
+@dataclass_transform(frozen_default=True)
+def frozen(cls: Class) -> Class:
+    """Make a class a frozen dataclass that refuses unknown arguments, see `spelt`."""
+    return spelt(dataclass(frozen=True)(cls))  # type: ignore[return-value]
 
 
 def spelt(cls: Class) -> Class:

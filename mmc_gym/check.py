@@ -40,11 +40,8 @@ def check_interface(env: Any, interface: Any, seed: int = 0) -> list[str]:
     try:
         seen = [ours.look(one) for one in observations]
         actions = [_action(ours, one, one.joint_angles) for one in seen]
-        return [
-            *_batches(ours, observations, seen, actions),
-            *_hand(ours, seen),
-            *_turns(ours, env, seed),
-        ]
+        lines = [*_batches(ours, observations, seen, actions), *_hand(ours, seen)]
+        return [*lines, *_turns(ours, env, seed)]
     except UserError as error:
         return [str(error)]
 

@@ -49,10 +49,7 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _check_words(arguments: list[str]) -> None:
-    """Raise a `UserError` for a command or an option that is misspelt.
-
-    tyro would list the options of all other commands.
-    """
+    """Raise a `UserError` for a misspelt command or option: tyro would list all options of all."""
     if not arguments or arguments[0].startswith("-"):
         return
     command, *others = arguments
@@ -73,18 +70,15 @@ def _check_words(arguments: list[str]) -> None:
 
 
 def _print_line(message: str) -> None:
-    """Print a line about the command itself on stderr."""
     print(f"mmc-gym: {message}", file=sys.stderr)
-
-
-def _default(value: str) -> str:
-    """Return what help texts say of a default value: nothing if there is none."""
-    return "" if value in ("", "''", "None") else f"(default: {value})"
 
 
 # Types of options, as help texts show them.
 def _arg(metavar: str, **others: Any) -> Any:
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=_default, **others)
+    def hint(default: str) -> str:
+        return "" if default in ("", "''", "None") else f"(default: {default})"
+
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, **others)
 
 
 Names = Annotated[tuple[str, ...], _arg("NAME...")]
@@ -181,14 +175,13 @@ def compare(
     from mmc_gym.benchmark import compare
 
     shared = {**more.load(), "interface": interface, "focus": focus, "explain": explain}
-    env = _one("scenarios", scenarios, "benchmark plays several")
+    env = _one("scenarios", scenarios, "; benchmark plays several")
     compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
 
-def _one(option: str, values: tuple[str, ...], otherwise: str = "") -> str:
+def _one(option: str, values: tuple[str, ...], also: str = "") -> str:
     """Return the only value of an option."""
     if len(values) != 1:
-        also = f"; {otherwise}" if otherwise else ""
         raise UserError(f"--{option} must be exactly one here{also}, got {' '.join(values)}")
     return values[0]
 
@@ -240,17 +233,8 @@ def benchmark(
             if one := progress.failed:
                 failed.append(f"{one.agent} in {one.environment}: {one.reason}")
 
-        runner.benchmark(
-            agents,
-            out,
-            scenarios,
-            episodes,
-            seed,
-            jobs=jobs,
-            cluster=cluster,
-            on_progress=on_progress,
-            **shared,
-        )
+        shared |= {"jobs": jobs, "cluster": cluster, "on_progress": on_progress}
+        runner.benchmark(agents, out, scenarios, episodes, seed, **shared)
     ranking.print_ranking(make_console(), out)
     if failed:
         number = "a cell" if len(failed) == 1 else f"{len(failed)} cells"
@@ -297,22 +281,12 @@ def adapt(
     shared, of_people = more.load(), None
     if people is not None:
         of_people = check_people(pd.read_csv(people), find_experiment(experiment))
+    shared |= {"rate": rate, "retention": retention, "keep": keep, "jobs": jobs}
+    shared["learners"] = None if learners is None else read_yaml_file(learners)
     with progress_bar() as bar:
         task = bar.add_task("agents")
-        result = trials.run_experiment(
-            experiment,
-            agents,
-            subjects,
-            seed,
-            out,
-            rate=rate,
-            retention=retention,
-            learners=None if learners is None else read_yaml_file(learners),
-            keep=keep,
-            jobs=jobs,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
-            **shared,
-        )
+        shared["on_progress"] = lambda done, total: bar.update(task, completed=done, total=total)
+        result = trials.run_experiment(experiment, agents, subjects, seed, out, **shared)
     result = replace(result, people=of_people)
     result.print(make_console())
     print_written(make_console(), result.write(out))
@@ -397,18 +371,9 @@ def train(
                     f"final distance {scores['final_distance']:.3f}  {scores['seconds']:6.0f} s"
                 )
 
-        card = training.train(
-            name,
-            env=env,
-            seed=seed,
-            steps=steps,
-            out=folder,
-            resume=resume,
-            tensorboard=tensorboard,
-            device=device,
-            on_progress=report,
-            **shared,
-        ).card
+        shared |= {"env": env, "seed": seed, "steps": steps, "out": folder, "resume": resume}
+        shared |= {"tensorboard": tensorboard, "device": device, "on_progress": report}
+        card = training.train(name, **shared).card
     print(
         f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "
         f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
@@ -433,10 +398,10 @@ def play(
     from mmc_gym.envs.render import open_display
 
     open_display(must_be_seen=True)  # at once: what follows takes a while to load
-    from mmc_gym import play
+    from mmc_gym.record import play
 
     shared = more.load()
-    play.play(_one("agents", agents), _one("scenarios", scenarios), seed, **shared)
+    play(_one("agents", agents), _one("scenarios", scenarios), seed, **shared)
 
 
 @_command

@@ -185,9 +185,8 @@ class ObservationLayout:
         """Return an observation of either kind, see the class, as arrays of finite numbers."""
         if type(observation) is np.ndarray and observation.ndim == 1:
             values = observation.tolist()  # for a single arm four times quicker than numpy
-            is_whole = len(values) == self.size + self.context_size
-            is_whole = is_whole and observation.dtype.char in "fd"
-            if is_whole and math.isfinite(sum(values)):
+            fine = len(values) == self.size + self.context_size and observation.dtype.char in "fd"
+            if fine and math.isfinite(sum(values)):
                 return observation
         if not isinstance(observation, Mapping):
             return require_floats("observation", observation, (self.size + self.context_size,))
@@ -233,10 +232,9 @@ class ObservationLayout:
 
 
 def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
-    """Return the last six values of observations: R(−q_1) target, e, and e / (OFFSET_SCALE + |e|).
+    """Return the last six values of observations, from cosine and sine of the first joint angle.
 
-    Cosine and sine of the first joint angle, and (x, y) of hand and target, are numbers, or arrays
-    of one shape; `root` is the square root for them.
+    All are numbers, or arrays of one shape; `root` is the square root for them.
     """
     (hand_x, hand_y), (target_x, target_y) = hand, target
     along, across = target_x - hand_x, target_y - hand_y
@@ -248,7 +246,6 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
 
 
 def _components(vectors: Any) -> tuple[Any, Any]:
-    """Return x and y of vectors (..., 2)."""
     return vectors[..., 0], vectors[..., 1]
 
 
@@ -387,7 +384,7 @@ class ReachInterface:
 
     @property
     def _joint_count(self) -> int:
-        """Number of joints; an arm in space may have more than distances between its nodes."""
+        # An arm in space may have more joints than distances between its nodes.
         return getattr(self.arm, "joint_count", len(self.segment_lengths))
 
     @property
@@ -420,15 +417,13 @@ class ReachInterface:
             return seen
         require(isinstance(seen, Seen), "what see returns", seen, "a Seen")
         batch = np.shape(seen.joint_angles)[:-1]
-        of_joints = (*batch, self._joint_count)
-        of_points = (*batch, 2 if self.arm is None else 3)
-        return replace(
-            seen,
-            joint_angles=_finite("joint_angles of see", seen.joint_angles, of_joints),
-            target=_finite("target of see", seen.target, of_points),
-            joint_speeds=_finite("joint_speeds of see", seen.joint_speeds, of_joints),
-            hand=_finite("hand of see", seen.hand, of_points),
-        )
+        joints, axes = self._joint_count, 2 if self.arm is None else 3
+        sizes = {"joint_angles": joints, "target": axes, "joint_speeds": joints, "hand": axes}
+        checked = {
+            name: _finite(f"{name} of see", getattr(seen, name), (*batch, size))
+            for name, size in sizes.items()
+        }
+        return replace(seen, **{k: one.astype(np.float64) for k, one in checked.items()})
 
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""
@@ -446,20 +441,18 @@ class ReachInterface:
         )
 
     def _joint_angles(self, values: Floats) -> Floats:
-        """Return the joint angles (..., N) of observed cosines and sines (..., 2 N and more)."""
         count = self.layout.joint_count
-        angles: Floats = np.arctan2(values[..., count : 2 * count], values[..., :count])
-        return angles
+        return np.arctan2(values[..., count : 2 * count], values[..., :count])
 
     def within_limits(self, joint_angles: Floats) -> Floats:
         """Return the angles within the joint limits that are nearest to these, (..., N)."""
         if self.joint_limits is None:
             return joint_angles
         low, high, middle, half, is_open = self._limits
-        within: Floats = middle + wrap_angle(joint_angles - middle).clip(-half, half)
-        return (
-            within if is_open is None else np.where(is_open, joint_angles.clip(low, high), within)
-        )
+        within = middle + wrap_angle(joint_angles - middle).clip(-half, half)
+        if is_open is None:
+            return within
+        return np.where(is_open, joint_angles.clip(low, high), within)
 
     def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
         """Return the angles reached on the short way from `before` up to the limits, (..., N).
@@ -486,7 +479,7 @@ class ReachInterface:
 
     @cached_property
     def _limits(self) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.bool_] | None]:
-        """Return lowest, highest, middle, half the range, and which are infinite, if any is."""
+        """Lowest, highest, middle, half the range, and which are infinite, if any is."""
         low, high = np.transpose(self.joint_limits or ())
         is_open = np.isinf(low) | np.isinf(high)
         if not is_open.any():
@@ -516,8 +509,7 @@ class ReachInterface:
         if type(self).act is ReachInterface.act:
             return action
         action = np.asarray(action)
-        _require_finite("what act returns", action, (*batch, *action.shape[-1:]))
-        return action
+        return _finite("what act returns", action, (*batch, *action.shape[-1:]))
 
     def check_takes_joint_targets(self) -> None:
         """Raise a `CannotActError` under torque control, whose servos take no targets."""
@@ -528,20 +520,15 @@ class ReachInterface:
             )
 
 
-def _finite(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
-    """Return a finite array of a shape as float64."""
+def _finite(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of a shape; raise a `UserError` if it has another or is not finite."""
     array = np.asarray(value)
-    _require_finite(name, array, shape)
-    return array.astype(np.float64, copy=False)
-
-
-def _require_finite(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Raise a `UserError` for an array that is not of finite numbers and of a shape."""
     fine = array.shape == shape and array.dtype.kind in "fiu"
     require(fine, name, f"{array.dtype} of shape {array.shape}", f"numbers of shape {shape}")
     # For a single arm four times quicker than numpy.
     is_finite = math.isfinite(sum(array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
     require(bool(is_finite), name, array, "finite")
+    return array
 
 
 class InterfacedEnv(gym.Env[Any, Any]):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Listed(NamedTuple):
-    """A line of a list: a name, its description, and what it needs or its unit."""
+    """A line of a list."""
 
     name: str
     what: str
@@ -50,16 +50,14 @@ def list_agents() -> Listing:
     >>> list_agents()[:3]
     ['mmc-body', 'ik-body', 'mmc']
     """
-    return Listing(
-        Listed("agent", "what it is", "needs"),
-        (Listed(name, one.description, _needs_of_agent(one)) for name, one in AGENTS.items()),
-    )
 
+    def needs(entry: AgentEntry) -> str:
+        if entry.training_seeds:
+            return f"{entry.control}, 3 joints"
+        return "lengths, servo" if entry.knowledge.lengths.startswith("given") else "nothing"
 
-def _needs_of_agent(entry: AgentEntry) -> str:
-    if entry.training_seeds:
-        return f"{entry.control}, 3 joints"
-    return "lengths, servo" if entry.knowledge.lengths.startswith("given") else "nothing"
+    rows = (Listed(name, one.description, needs(one)) for name, one in AGENTS.items())
+    return Listing(Listed("agent", "what it is", "needs"), rows)
 
 
 def list_tasks() -> Listing:
@@ -80,14 +78,10 @@ def list_perturbations() -> Listing:
     >>> next(row for row in list_perturbations().rows if row.name == "rotation")
     Listed(name='rotation', what='cursor turned by 30°', needs='°')
     """
-    rows = (
-        Listed(
-            name,
-            one.description.format(f"{one.default:g}"),
-            f"{one.unit}{', or -known' * one.known}",
-        )
-        for name, one in FAMILIES.items()
-    )
+    rows = []
+    for name, one in FAMILIES.items():
+        what = one.description.format(f"{one.default:g}")
+        rows.append(Listed(name, what, f"{one.unit}{', or -known' * one.known}"))
     return Listing(Listed("perturbation", "what it is", "strength in"), rows)
 
 
@@ -99,9 +93,7 @@ def list_scenarios() -> Listing:
     from mmc_gym.benchmark.suite import SCENARIOS
 
     scenarios = SCENARIOS | {name: Scenario(task) for name, task in TASKS.items()}
-    rows = (
-        Listed(name, one.description, _episodes(one.task.task)) for name, one in scenarios.items()
-    )
+    rows = (Listed(k, one.description, _episodes(one.task.task)) for k, one in scenarios.items())
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
 
@@ -109,10 +101,10 @@ def list_experiments() -> Listing:
     """Return the names of experiments over trials, each of any strength."""
     from mmc_gym.experiments.experiment import EXPERIMENTS, find_experiment
 
-    found = {name: find_experiment(name) for name in EXPERIMENTS}
-    rows = (
-        Listed(name, one.description, f"{len(one.schedule)} trials") for name, one in found.items()
-    )
+    rows = []
+    for name in EXPERIMENTS:
+        found = find_experiment(name)
+        rows.append(Listed(name, found.description, f"{len(found.schedule)} trials"))
     return Listing(Listed("experiment", "what it is", "length"), rows)
 
 
@@ -133,11 +125,7 @@ def _unit(measure: Measure) -> str:
 
 
 def describe(name: str) -> Iterator[tuple[str, str]]:
-    """Yield headings and texts that describe a scenario, an experiment, or one after the other.
-
-    Args:
-        name: of a scenario or experiment, or the id of an environment.
-    """
+    """Yield headings and texts that describe what has a name: scenario, experiment, or both."""
     if name in AGENTS and name not in TASKS:
         raise UserError(
             f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "

@@ -1,4 +1,4 @@
-"""Record: films of agents, alone or side by side, as GIF or MP4, without a display."""
+"""Watch agents: films, alone or side by side, without a display; and a window to play in."""
 
 from __future__ import annotations
 
@@ -7,25 +7,26 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
+import pygame
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
-from mmc_gym._errors import UserError, missing, require, require_whole
+from mmc_gym._errors import missing, require, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.drawn import EXAMPLES
+from mmc_gym.envs.render import View, open_display
 from mmc_gym.envs.scenarios import EnvLike, parse_environment, parse_scenario
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
-
-if TYPE_CHECKING:
-    from PIL import Image
 
 Picture = NDArray[np.uint8]
 _MOMENT = 11  # control steps
@@ -56,8 +57,8 @@ def record(
     """
     out = Path(out)
     films = {".gif": gif, ".mp4": mp4}
-    if out.suffix not in films or out.is_dir():
-        raise UserError(f"out must be a file that ends in .gif or .mp4, got {str(out)!r}")
+    fine = out.suffix in films and not out.is_dir()
+    require(fine, "out", str(out), "a file that ends in .gif or .mp4")
     if out.suffix == ".mp4":
         _require_ffmpeg()
     several: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
@@ -82,8 +83,6 @@ def picture_draws(scenario: str, out: Path | str) -> Path:
 
     Each is shown a moment after its start, under what it has drawn; `mmc` acts.
     """
-    from PIL import Image
-
     require(Path(out).suffix == ".png", "out", str(out), "a file that ends in .png")
     world, player = make_player(resolve("mmc"), parse_scenario(scenario, render_mode="rgb_array"))
     panels = []
@@ -122,21 +121,14 @@ def _pictures(
         shown = [*range(0, len(longest) - 1, every), *[len(longest) - 1] * (1 + held)]
         for number in shown:
             panels = [film[min(number, len(film) - 1)] for film in films]
-            yield panels[0] if len(panels) == 1 else _side_by_side(panels, list(played))
-
-
-def _side_by_side(panels: Sequence[Picture], names: Sequence[str]) -> Picture:
-    """Return pictures next to each other, half as large, under their names."""
-    from PIL import Image
-
-    halves = [Image.fromarray(panel).reduce(2) for panel in panels]
-    return np.hstack([np.asarray(named(half, name)) for half, name in zip(halves, names)])
+            if len(panels) > 1:  # next to each other, half as large, under their names
+                halves = [Image.fromarray(panel).reduce(2) for panel in panels]
+                panels = [np.asarray(named(half, name)) for half, name in zip(halves, played)]
+            yield np.hstack(panels)
 
 
 def named(picture: Image.Image, name: str) -> Image.Image:
     """Return a picture with a name in place of its caption, large enough for a narrow screen."""
-    from PIL import Image, ImageDraw, ImageFont
-
     width, height, caption = picture.width, picture.width // 9, picture.width // 25
     disc = picture.crop((0, caption, width, picture.height))
     tall = -(-(height + disc.height) // 16) * 16  # as encoders of video like it
@@ -149,23 +141,10 @@ def named(picture: Image.Image, name: str) -> Image.Image:
 
 def gif(pictures: Iterable[Picture], frame_rate: float) -> bytes:
     """Return pictures (height, width, 3) as a GIF that loops, at most 50 pictures a second."""
-    from PIL import Image
-
     every = math.ceil(_LEAST_DURATION * frame_rate)
-    images = (
-        Image.fromarray(picture).quantize()
-        for number, picture in enumerate(pictures)
-        if number % every == 0
-    )
-    film = io.BytesIO()
-    next(images).save(
-        film,
-        format="GIF",
-        save_all=True,
-        append_images=images,
-        duration=round(1000 * every / frame_rate),
-        loop=0,
-    )
+    images = (Image.fromarray(one).quantize() for one in islice(pictures, None, None, every))
+    film, shared = io.BytesIO(), {"duration": round(1000 * every / frame_rate), "loop": 0}
+    next(images).save(film, format="GIF", save_all=True, append_images=images, **shared)
     return film.getvalue()
 
 
@@ -191,3 +170,59 @@ def _require_ffmpeg() -> Any:
     except ImportError as error:
         raise missing("a film that ends in .mp4", "imageio_ffmpeg", "video") from error
     return write_frames
+
+
+def play(
+    agent: AgentLike = "mmc",
+    env: EnvLike = "MMCReach-v0",
+    seed: int | None = None,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
+    wrapper: Wrappers = (),
+) -> None:
+    """Open a window in which the mouse moves the target and an agent the arm.
+
+    R draws a new posture, Q ends.  Without a `seed` postures differ each time.  The other arguments
+    are those of `mmc_gym.compare`; there is no time limit.
+
+    Raises:
+        UserError: without a display, for an unknown agent, or for an environment without an arm.
+    """
+    open_display(must_be_seen=True)
+    try:
+        given = {**(env_kwargs or {}), "render_mode": "human", "max_episode_steps": -1}
+        shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
+        (found,) = resolve_all([agent], every_training=False, **shared)
+        world, player = make_player(found, parse_environment(env, given))
+        with closing(world):
+            for _ in frames(world, player, seed):
+                pass
+    finally:
+        pygame.display.quit()
+
+
+def frames(
+    world: gym.Env[Any, Any], player: Predictor, seed: int | None = None
+) -> Iterator[dict[str, Any]]:
+    """Play until the window is closed, and yield the info of the start and of each step."""
+    reach: Any = world.unwrapped
+    view, workspace = View(reach.setup.farthest), reach.setup.workspace
+    observation, info = world.reset(seed=seed)
+    state = None
+    yield info
+    while pygame.display.get_init():
+        keys = {event.key for event in pygame.event.get(pygame.KEYDOWN)}
+        if keys & {pygame.K_q, pygame.K_ESCAPE}:
+            return
+        if pygame.K_r in keys:
+            observation, info = world.reset(options={"target": tuple(info["target"])})
+            state = None
+        if pygame.mouse.get_focused():
+            nearest = workspace.nearest(view.point(pygame.mouse.get_pos()))
+            if workspace.contains(nearest):  # no obstacle is there
+                reach.set_target(nearest)
+        start = np.full(1, state is None)
+        action, state = player.predict(observation, state, start, deterministic=True)
+        observation, _, _, _, info = world.step(action)
+        yield info

@@ -15,7 +15,7 @@ import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.envs.render import SIZE, View
-from mmc_gym.play import frames, play
+from mmc_gym.record import frames, play
 
 
 class Recorder:
@@ -123,7 +123,7 @@ def test_an_agent_follows_the_mouse(env, point_at):
 def test_without_a_display_it_says_so_at_once_and_offers_a_film():
     names = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
     given = {name: value for name, value in os.environ.items() if name not in names}
-    code = "import sys; sys.modules['mmc_gym.play'] = None\n"  # nothing slow is loaded
+    code = "import sys; sys.modules['mmc_gym.record'] = None\n"  # nothing slow is loaded
     code += "from mmc_gym.cli import main; main(['play'])"
     done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True)
     assert done.returncode != 0

@@ -177,9 +177,8 @@ class ArmBatch(ABC):
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]
         postures = _table("joint_angles", joint_angles, shape)
-        speeds = np.zeros(shape)
-        if joint_velocities is not None:
-            speeds = _table("joint_velocities", joint_velocities, shape)
+        speeds = np.zeros(shape) if joint_velocities is None else joint_velocities
+        speeds = _table("joint_velocities", speeds, shape)
         if parameters is None and self._is_loaded:
             parameters = self.parameters
         new: NewParameters = []

@@ -23,7 +23,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import permutations
 from typing import Any
 
@@ -117,7 +118,8 @@ class Family:
     unit: str  #: of the strength
     description: str  #: of a scenario, in a line; `{}` stands for the strength
     default: float  #: strength of a name without one
-    make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
+    #: makes the perturbation of a strength
+    make: Callable[[float], Perturbation] = field(compare=False)
     known: bool = False  #: whether agents can be given the change (`-known`)
     whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
     has_strength: bool = True  #: without, there is one perturbation, and its name has no number
@@ -339,16 +341,11 @@ def _unknown(name: object, argument: str) -> UserError:
         also = f"a list such as {text.split('+')}"
     else:
         also = "a Perturbation"
-    guess = _guess(text, known)
-    return unknown(argument, name, known, "one with a strength (delay-160)", also, guess=guess)
-
-
-def _guess(name: str, known: list[str]) -> str:
-    """Return the nearest name that is accepted, with the strength that was given; "" without."""
-    word, *rest = re.split("(-(?:-?[0-9].*|at-.*|over-.*|known))$", name)
+    word, *strength = re.split("(-(?:-?[0-9].*|at-.*|over-.*|known))$", text)
     guess = nearest(word, known)
-    meant = guess + "".join(rest)
-    return meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
+    meant = guess + "".join(strength)
+    guess = meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
+    return unknown(argument, name, known, "one with a strength (delay-160)", also, guess=guess)
 
 
 # Families
@@ -359,12 +356,8 @@ def _longer(percent: float) -> SegmentLength:
 
 
 def _shorter(percent: float) -> SegmentLength:
-    require(
-        bool(np.all(percent < 100)),
-        "the change of the segment's length",
-        percent,
-        "less than 100 %",
-    )
+    fine = bool(np.all(percent < 100))
+    require(fine, "the change of the segment's length", percent, "less than 100 %")
     return SegmentLength(1 - percent / 100)
 
 
@@ -396,18 +389,6 @@ def _locked(number: float, time: float = 0.0) -> LockedJoint:
     return LockedJoint(joints if joints.ndim else int(joints), time)
 
 
-def _locks(number: float) -> LockedJoint:
-    return _locked(number, time=0.2)
-
-
-def _joint_noise_with_speed(std: float) -> JointNoise:
-    return JointNoise(0.0, std)
-
-
-def _vision_noise_with_distance(std: float) -> VisionNoise:
-    return VisionNoise(0.0, std)
-
-
 def _obstacles(count: float) -> Obstacles:
     fine = count in range(1, len(FOUR_DISCS) + 1)
     accepted = f"a whole number from 1 to {len(FOUR_DISCS)}"
@@ -415,6 +396,7 @@ def _obstacles(count: float) -> Obstacles:
     return Obstacles(FOUR_DISCS[: int(count)])
 
 
+_JOINT: Any = {"known": True, "whole": True}
 _FAMILIES = (  # name, unit, description, default, make
     Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
     Family("channel", "mass/s", "walls along the way, as for a curl field of {}", 60.0, Channel),
@@ -429,22 +411,15 @@ _FAMILIES = (  # name, unit, description, default, make
     Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
     Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
     Family(
-        "locked",
-        "joint",
-        "joint {} (from the base) locked from the start",
-        2.0,
-        _locked,
-        known=True,
-        whole=True,
+        "locked", "joint", "joint {} (from the base) locked from the start", 2.0, _locked, **_JOINT
     ),
     Family(
         "locks",
         "joint",
         "joint {} (from the base) locked after 0.2 s",
         2.0,
-        _locks,
-        known=True,
-        whole=True,
+        partial(_locked, time=0.2),
+        **_JOINT,
     ),
     Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
     Family(
@@ -452,7 +427,7 @@ _FAMILIES = (  # name, unit, description, default, make
         "s",
         "noise of joint angles, {} s of joint speed",
         0.01,
-        _joint_noise_with_speed,
+        partial(JointNoise, 0.0),
     ),
     Family(
         "vision-noise",
@@ -466,17 +441,12 @@ _FAMILIES = (  # name, unit, description, default, make
         "of distance",
         "noise of the seen hand and target, {} of their distance",
         0.05,
-        _vision_noise_with_distance,
+        partial(VisionNoise, 0.0),
     ),
     Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
     Family("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, _vision_delay),
     Family(
-        "no-feedback",
-        "",
-        "hand not seen after the start",
-        1.0,
-        _no_feedback,
-        has_strength=False,
+        "no-feedback", "", "hand not seen after the start", 1.0, _no_feedback, has_strength=False
     ),
     Family(
         "endpoint-feedback",

@@ -25,6 +25,7 @@ from mmc_gym._errors import (
     LARGEST_SIZE,
     LONGEST,
     UserError,
+    frozen,
     is_point,
     is_whole,
     nearest,
@@ -113,8 +114,7 @@ class Perturbation:
             )
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x); several add.
 
@@ -131,8 +131,7 @@ class ForceField(Perturbation):
         return replace(body, force_field=((xx, xy + self.curl), (yx - self.curl, yy)))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class Channel(Perturbation):
     """Stiff walls confine the hand to the line from its start to the first target.
 
@@ -146,8 +145,7 @@ class Channel(Perturbation):
     curl: float = 60.0  #: of the field whose ideal force is compared, see `ForceField`
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class HandMass(Perturbation):
     """The hand carries a point mass; several add."""
 
@@ -159,8 +157,7 @@ class HandMass(Perturbation):
         return replace(body, hand_mass=body.hand_mass + self.mass)
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class Gravity(Perturbation):
     """The arm hangs in gravity, which pulls along −y.  Agents are always given it."""
 
@@ -174,8 +171,7 @@ class Gravity(Perturbation):
         return replace(body, gravity=(x, y - self.acceleration))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class SegmentLength(Perturbation):
     """A segment is longer or shorter than before, as by a tool or growth; its mass is the same."""
 
@@ -195,8 +191,7 @@ class SegmentLength(Perturbation):
         return replace(body, segment_lengths=tuple(lengths))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class LockedJoint(Perturbation):
     """A joint becomes rigid at its present angle until the next reset.
 
@@ -217,8 +212,7 @@ class LockedJoint(Perturbation):
         return replace(body, lockable_joints=(*body.lockable_joints, joint))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction; several add.
 
@@ -241,16 +235,13 @@ class Obstacles(Perturbation):
 
 
 class Noise(Perturbation, ABC):
-    """Noise of the senses, white in time and normally distributed.
-
-    As long as it is 0, nothing is drawn.
-    """
+    """Noise of the senses, white in time and normally distributed; while it is 0, none is drawn."""
 
     @property
     def is_heard(self) -> Any:
         """Whether it is not 0: a bool, or (n,) of n arms."""
-        pairs = [getattr(self, name) != none for name, none in self.neutral.items()]
-        return reduce(np.logical_or, pairs) if pairs else True
+        differ = [getattr(self, name) != none for name, none in self.neutral.items()]
+        return reduce(np.logical_or, differ) if differ else True
 
     @abstractmethod
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
@@ -268,7 +259,7 @@ class Cursor(Perturbation, ABC):
 
     @abstractmethod
     def cursor(self, x: Any, y: Any, target: Place) -> Place:
-        """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
+        """Return where the cursor is for a hand at (x, y)."""
 
     def hand(self, x: Any, y: Any) -> Place:
         """Return where the hand is for a cursor at (x, y), which is the target."""
@@ -291,8 +282,7 @@ class Cursor(Perturbation, ABC):
         return x, y
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class VisuomotorRotation(Cursor):
     """The cursor is the hand, turned about a centre.
 
@@ -331,8 +321,7 @@ class VisuomotorRotation(Cursor):
         return reach + 2 * math.sin(half) * math.hypot(*(self.centre or (0.0, 0.0)))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class CursorGain(Cursor):
     """The cursor is so many times as far from the centre as the hand.
 
@@ -362,8 +351,7 @@ class CursorGain(Cursor):
         return max(reach, self.factor * reach + abs(1 - self.factor) * away)
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class CursorMirror(Cursor):
     """The cursor is the mirror image of the hand, on the other side of an axis.
 
@@ -392,8 +380,7 @@ class CursorMirror(Cursor):
         return self.cursor(x, y)
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class ErrorClamp(Cursor):
     """The cursor moves along a fixed direction, as far from the centre as the hand, which is free.
 
@@ -420,8 +407,7 @@ class ErrorClamp(Cursor):
         return self._if_shown(clamped, (x, y))
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class CursorJump(Cursor):
     """The cursor is the hand, until it jumps across the way to the target and keeps that distance.
 
@@ -492,8 +478,7 @@ def _direction(centre: Point, target: Place) -> tuple[Any, Any, Any]:
     return x / whole, y / whole, way
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class JointNoise(Noise):
     """Noise of joint angles and velocities.
 
@@ -522,8 +507,7 @@ class JointNoise(Noise):
         )
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class VisionNoise(Noise):
     """Noise of the seen hand and target, in each coordinate."""
 
@@ -553,8 +537,7 @@ class Delay(Perturbation):
         require_between(0, LONGEST, seconds=self.seconds)
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class SensoryDelay(Delay):
     """All observations are late; until the delay is over, they show the start.
 
@@ -563,8 +546,7 @@ class SensoryDelay(Delay):
     """
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class VisionDelay(Delay):
     """Hand and target are seen late, while the joints are felt on time.
 
@@ -588,8 +570,7 @@ class Feedback(Perturbation, ABC):
         """Return whether the hand is seen, given whether the movement ends in this step, (n,)."""
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class NoFeedback(Feedback):
     """The hand is never seen after the start: what was learned shows without corrections."""
 
@@ -598,8 +579,7 @@ class NoFeedback(Feedback):
         return ends & False
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class EndpointFeedback(Feedback):
     """The hand is seen where the movement ended, not on the way, and stays there.
 
@@ -623,15 +603,13 @@ class OneOf(Perturbation):
         accepted = "at least two perturbations, names of them, or None"
         require(len(options) > 1, "OneOf", options, accepted)
         self.options = options
+
+        def are_fine(given: tuple[float, ...]) -> bool:
+            return len(given) == len(options) and min(given) >= 0 and 0 < sum(given) < np.inf
+
         accepted = f"{len(options)} numbers of at least 0, not all 0"
-        self.weights = require_numbers(
-            "weights",
-            [1.0] * len(options) if weights is None else weights,
-            accepted,
-            lambda numbers: (
-                len(numbers) == len(options) and min(numbers) >= 0 and 0 < sum(numbers) < np.inf
-            ),
-        )
+        weights = [1.0] * len(options) if weights is None else weights
+        self.weights = require_numbers("weights", weights, accepted, are_fine)
 
     def __repr__(self) -> str:
         return f"OneOf({', '.join(map(repr, self.options))}, weights={self.weights})"
@@ -642,8 +620,8 @@ class OneOf(Perturbation):
     def __hash__(self) -> int:
         return hash((self.options, self.weights))
 
-    def check_hooks(self) -> None:
-        """Nothing to check: its options are checked by themselves."""
+    @override
+    def check_hooks(self) -> None: ...  # its options are checked by themselves
 
     def ppf(self, shares: Floats) -> Floats:
         """Return the numbers of the options at these quantiles."""
@@ -699,10 +677,8 @@ class Timed(Perturbation):
     def moments(self, control_step: float) -> list[int]:
         """Return control steps, in order: that before it begins, and at most 101 as it grows."""
         at, rise = round(self.at / control_step), round(self.over / control_step)
-        return [
-            at - 1,
-            *np.linspace(at, at + rise, min(rise, 100) + 1).round().astype(int).tolist(),
-        ]
+        growing = np.linspace(at, at + rise, min(rise, 100) + 1)
+        return [at - 1, *growing.round().astype(int).tolist()]
 
 
 def timed_parts(
@@ -721,8 +697,7 @@ def _index(name: str, index: Any, count: int) -> Any:
         return index.astype(int) % count
     if isinstance(index, float) and index.is_integer():  # drawn
         index = int(index)
-    fine = is_whole(index) and -count <= index < count
-    if not fine:
+    if not (is_whole(index) and -count <= index < count):
         also = f", {name} {index + 1} from the base" if is_whole(index) and index >= 0 else ""
         accepted = f"an index from {-count} to {count - 1}"
         raise UserError(f"{name} must be {accepted}, got {shown(index)}{also}")

@@ -17,7 +17,7 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
-from mmc_gym.envs.feedback import HandSight
+from mmc_gym.envs.perturbations import Feedback
 from mmc_gym.envs.spec import (
     GoalSetup,
     ReachEnvironment,
@@ -29,12 +29,15 @@ from mmc_gym.envs.workspace import Point, distances, uniform_numbers
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render import Renderer, Scene
+    from mmc_gym.envs.render import Renderer
 
+Floats = NDArray[np.float64]
 Info = dict[str, Any]
 Number = TypeVar("Number", float, NDArray[np.floating])
 Numbers = Sequence[Any] | NDArray[np.floating]  # joints first
 HALF_PRECISE = 0.05  # segment lengths
+_MOVING = 0.05  # of the peak speed; a slower hand has ended its movement, as in `mmc_gym.measures`
+_FASTEST_REST = 0.1  # segment lengths / s; a slower peak is no movement
 
 
 class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
@@ -254,16 +257,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
-        from mmc_gym.envs.render import Renderer
+        from mmc_gym.envs.render import Renderer, Scene
 
         if self._renderer is None:
             self._renderer = Renderer(self.setup, self.render_mode)
-        return self._renderer.draw(self._scene())
-
-    def _scene(self) -> Scene:
-        from mmc_gym.envs.render import Scene
-
-        return Scene(
+        scene = Scene(
             self._arm.segment_angles,
             self._target,
             trace=self._trace,
@@ -272,6 +270,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             steps=self._steps,
             observation=self._late[0] if self._late else None,
         )
+        return self._renderer.draw(scene)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -379,7 +378,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             return setup.observe(true, now.noises, [self.np_random])[0]
         hands, arms, steps = info["end_effector"][None], np.array([0]), np.array([self._steps])
 
-        def look(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+        def look(seen: Floats) -> Floats:
             return sight.look(arms, steps, hands, seen, now.feedback)
 
         observation = setup.observe(true, now.noises, [self.np_random], look)[0]
@@ -404,6 +403,48 @@ def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
     if isinstance(observation, dict):
         return {**observation, "observation": with_context(observation["observation"], shown)}
     return np.concatenate([observation, shown], axis=-1)
+
+
+class HandSight:
+    """Where the hands of n arms were last seen, and how far their movements are."""
+
+    def __init__(self, count: int, control_step: float) -> None:
+        """Begin without arms: each is reset by the look at its step 0."""
+        self._seen, self._hands = np.zeros((2, count, 2))
+        self._peaks, self._fastest_rest = np.zeros(count), _FASTEST_REST * control_step
+        self._has_ended = np.zeros(count, dtype=bool)
+        self.is_seen = np.ones(count, dtype=bool)  #: in the last look, (n,)
+
+    def look(
+        self,
+        arms: NDArray[np.intp],
+        steps: NDArray[np.intp],
+        hands: Floats,
+        seen: Floats,
+        feedback: Sequence[Feedback],
+    ) -> Floats:
+        """Return where the hands of k arms are seen, (k, 2).
+
+        Args:
+            arms: their indices, (k,).
+            steps: control steps since the start, (k,).
+            hands: true positions of the hands, (k, 2).
+            seen: positions as they would be seen, late and with noise, (k, 2).
+            feedback: when they are.
+        """
+        starts = steps == 0
+        self._peaks[arms[starts]], self._has_ended[arms[starts]] = 0.0, False
+        moved = np.where(starts, 0.0, distances(hands, self._hands[arms]))
+        peaks = np.maximum(self._peaks[arms], moved)
+        is_slow = (moved < _MOVING * peaks) & (peaks > self._fastest_rest)
+        ends = is_slow & ~self._has_ended[arms]
+        is_seen = np.ones(len(arms), dtype=bool)
+        for one in feedback:
+            is_seen &= starts | (np.asarray(one.hidden) == 0.0) | one.shows(ends)
+        self._hands[arms], self._peaks[arms], self.is_seen[arms] = hands, peaks, is_seen
+        self._has_ended[arms] |= ends
+        self._seen[arms] = np.where(is_seen[:, None], seen, self._seen[arms])
+        return self._seen[arms]
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.

@@ -144,7 +144,6 @@ class Canvas:
 
 
 def _blend(start: Color, end: Color, share: float) -> Color:
-    """Return the colour at a share of the way between two."""
     red, green, blue = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
     return red, green, blue
 
@@ -211,7 +210,7 @@ class Renderer:
             self._window.close()
 
     def _paint_scenery(self) -> None:
-        """Paint what is the same in every frame: reachable set, perturbations, base and caption."""
+        """Paint what is the same in every frame."""
         canvas, body, view = self._canvas, self._setup.body, self._canvas.view
         canvas.surface.fill(BACKGROUND)
         inner, outer = reachable_radii(self._lengths)
@@ -271,7 +270,6 @@ class Renderer:
         return max(self._canvas.pixels(self._setup.success_distance), 3)
 
     def _paint_trace(self, scene: Scene) -> None:
-        """Paint the past points of the hand as dots that fade with age."""
         for age, (start, end) in enumerate(pairwise(scene.trace), start=1):
             freshness = age / len(scene.trace)
             color = _blend(REACHABLE, TRACE, 0.2 + 0.8 * freshness)
@@ -279,7 +277,6 @@ class Renderer:
             self._canvas.disc(color, end, 1.5 + 1.8 * freshness)
 
     def _paint_arm(self, nodes: Sequence[Point]) -> None:
-        """Paint tapering rods on round joints."""
         canvas, along = self._canvas, [0.0, *accumulate(self._lengths)]
         taper = (HAND_WIDTH - BASE_WIDTH) / along[-1]
         widths = [BASE_WIDTH + taper * way for way in along]

@@ -88,9 +88,7 @@ class Scenario:
         """The definition of the scenario for JSON; equal for equal scenarios."""
         last = self.changes[-1].suffix if self.changes else ""
         task = {} if self.task.is_shipped else {"task": self.task.task}
-        changes = tuple(
-            (c.perturbation, c.range) if c.range else c.perturbation for c in self.changes
-        )
+        changes = [(c.perturbation, c.range) if c.range else c.perturbation for c in self.changes]
         arguments = {**task, **({"perturbations": changes} if changes else {}), **self.arguments}
         return {
             "id": environment_id(self.task.name if self.task.is_shipped else BASELINE),
@@ -133,9 +131,7 @@ class Scenario:
 
     def for_gymnasium(self, control: str | None = None) -> tuple[str, dict[str, Any]]:
         """Return the id and the arguments with which Gymnasium makes the environment."""
-        arguments: dict[str, Any] = dict(self.arguments)
-        if control is not None:
-            arguments["control"] = control
+        arguments = {**self.arguments, **({} if control is None else {"control": control})}
         if self.changes:
             arguments["perturbations"] = self.changes
         if self.task.is_registered:
@@ -343,8 +339,7 @@ def make_vec(name: str, num_envs: int = 1, **arguments: Any) -> AnyVectorEnv:
     env_id, given = name, arguments
     if _is_name(name):
         env_id, given = parse_scenario(name, **arguments).for_gymnasium()
-    made: AnyVectorEnv = _gymnasium(gym.make_vec, name, env_id, {**given, "num_envs": num_envs})
-    return made
+    return _gymnasium(gym.make_vec, name, env_id, {**given, "num_envs": num_envs})
 
 
 class _NoEnvironment(UserError):
@@ -406,19 +401,17 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
     digest of its code: changed code is another scenario.
     """
 
+    def declared(value: Any) -> dict[str, Any]:
+        if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
+            return {one.name: getattr(value, one.name) for one in fields(value)}
+        return dict(vars(value)) if hasattr(value, "__dict__") else {"value": repr(value)}
+
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
         if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
             return {"name": value.dist.name, "args": value.args, **value.kwds}
         code = code_of(value)
-        return {"name": type(value).__name__, **_fields(value), **({"code": code} if code else {})}
+        return {"name": type(value).__name__, **declared(value), **({"code": code} if code else {})}
 
     return json.loads(json.dumps(arguments, default=plain))
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    """Return the declared fields of an object; its attributes, if its class declares none."""
-    if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
-        return {one.name: getattr(value, one.name) for one in fields(value)}
-    return dict(vars(value)) if hasattr(value, "__dict__") else {"value": repr(value)}

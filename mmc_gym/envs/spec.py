@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import reduce
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -168,14 +167,16 @@ class ReachSetup:
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
-        # With noise, a longer arm or a cursor, observed values may exceed the limits.
-        is_clipped = bool(self.noises) or self.farthest > self.reach
-        #: of the observations; its `reach` is the sum of the given lengths
-        self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
         rows = np.zeros((1, 0)) if self.draws is None else self.draws.samples()
         #: of each number of the context that is shown behind an observation
         self.context_limits = np.abs(self.context_of(rows)).max(axis=0, initial=1.0)
-        self.layout = replace(self.layout, context_size=len(self.context_limits))
+        #: of the observations; its `reach` is the sum of the given lengths
+        self.layout = ObservationLayout(
+            self.joint_count,
+            self.reach,
+            self._may_exceed_limits,
+            context_size=len(self.context_limits),
+        )
         self.plain_space: spaces.Space[Any] = self.layout.space()  #: without the context
         self.observation_space = self.layout.space(self.context_limits)
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
@@ -192,19 +193,25 @@ class ReachSetup:
         if self.draws is not None:
             self._try_draws(self.draws)
 
+    @property
+    def _may_exceed_limits(self) -> bool:
+        """Whether noise, a longer arm or a cursor may take observed values beyond the limits."""
+        return bool(self.noises) or self.farthest > self.reach
+
     def _perturb(self, changes: Sequence[Change], is_checked: bool = True) -> None:
         """Apply perturbations whose numbers are known."""
         self.perturbations = tuple(one.perturbation for one in changes)
         self._change_arm(changes, is_checked)
+        timed = [one for one in self.perturbations if isinstance(one, Timed)]
         plain = Perturbation.change_body
         #: those that change the arm within an episode
-        self.loads = [
-            one
-            for one in self.perturbations
-            if isinstance(one, Timed) and type(one.perturbation).change_body is not plain
-        ]
-        self._disturb_senses(changes)
-        self._find_workspace()
+        self.loads = [one for one in timed if type(one.perturbation).change_body is not plain]
+        self._disturb_senses(changes, timed)
+        locked = self.body.lockable_joints if self.lock_step == 0 else ()
+        at_all_times = self.disturbance(self.moments).cursor if self.is_timed else None
+        self.workspace = Workspace(self.body, self.given_body, locked, self.cursor, at_all_times)
+        reach = sum(self.body.segment_lengths)
+        self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
     def episode(self, numbers: NDArray[np.float64], is_checked: bool = False) -> ReachSetup:
         """Return the setup of an episode that has drawn these numbers, (m,)."""
@@ -253,8 +260,7 @@ class ReachSetup:
         self.farthest = max(one.farthest for one in every)
         self.are_senses_disturbed = bool(self.noises or self.delay)
         self.is_sight_disturbed = self.is_sight_disturbed or bool(self.vision_delay)
-        is_clipped = bool(self.noises) or self.farthest > self.reach
-        self.layout = replace(self.layout, is_clipped=is_clipped)
+        self.layout = replace(self.layout, is_clipped=self._may_exceed_limits)
         are_many = ~draws.are_alone(samples)
         every = [one for one, is_many in zip(every, are_many.tolist(), strict=True) if is_many]
         samples = samples[are_many]
@@ -288,16 +294,13 @@ class ReachSetup:
         step = self.unperturbed.control_step
         return Episodes(body, ring, senses, cursor, _lock_steps(times[0], step) if times else -1)
 
-    def _disturb_senses(self, changes: Sequence[Change]) -> None:
+    def _disturb_senses(self, changes: Sequence[Change], timed: Sequence[Timed]) -> None:
         """Find out what disturbs the senses with all perturbations at their full strength."""
         self.parts = [self._placed(one) for one in senses_of(self.perturbations)]
-        timed = [one for one in self.perturbations if isinstance(one, Timed)]
         step = self.unperturbed.control_step
         self.is_timed = bool(timed)  #: whether perturbations begin or grow within an episode
         #: control steps of an episode between which no timed one changes much, in order
-        self.moments: Any = np.unique(
-            [count for one in timed for count in one.moments(step)] or [0]
-        )
+        self.moments: Any = np.unique([n for one in timed for n in one.moments(step)] or [0])
         self.full = self.disturbance(int(self.moments[-1]))  #: in the end
         self.cursor, self.noises = self.full.cursor, self.full.noises
         self.delay, self.vision_delay = self.full.delay, self.full.vision_delay
@@ -314,9 +317,9 @@ class ReachSetup:
 
     def _check_loads(self, changes: Sequence[Change]) -> None:
         """Refuse what cannot change the arm within an episode."""
-        step = self.unperturbed.control_step
+        every = [one.moments(self.unperturbed.control_step) for one in self.loads]
         # Between these control steps loads and fields change evenly: they are largest at the ends.
-        corners = {one.moments(step)[place] for one in self.loads for place in (0, 1, -1)}
+        corners = {moments[place] for moments in every for place in (0, 1, -1)}
         for body in map(self.body_after, sorted(corners)):
             same = replace(body, hand_mass=self.body.hand_mass, force_field=self.body.force_field)
             accepted = "of which only force-field and hand-mass change the body within an episode"
@@ -371,11 +374,12 @@ class ReachSetup:
     def _drawn_body(self, parts: Sequence[Perturbation]) -> ArmColumns:
         """Return the arm under perturbations as they may be drawn, which were checked before."""
         arm: ArmParameters = ArmColumns.of(self.unperturbed)
-        return ArmColumns.of(reduce(lambda arm, one: one.change_body(arm), parts, arm))
+        for one in parts:
+            arm = one.change_body(arm)
+        return ArmColumns.of(arm)
 
     def _change_arm(self, changes: Sequence[Change], is_checked: bool) -> None:
-        """Apply the perturbations to the arm, and find where hand and target can be."""
-        #: the simulated arm, with all perturbations; the given one, with those that are `known`
+        """Apply the perturbations to the arm, and find when joints lock."""
         if is_checked:
             self.body = self.given_body = self.unperturbed
             for one in changes:
@@ -387,8 +391,8 @@ class ReachSetup:
         times = {one.time for one in self.perturbations if isinstance(one, LockedJoint)}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
-        #: control steps after which joints lock, or None
         step = self.unperturbed.control_step
+        #: control steps after which joints lock, or None
         self.lock_step = int(_lock_steps(times.pop(), step)) if times else None
 
     @property
@@ -400,16 +404,6 @@ class ReachSetup:
     def lock_steps(self) -> int:
         """Control steps after which joints lock, or -1."""
         return -1 if self.lock_step is None else self.lock_step
-
-    def _find_workspace(self) -> None:
-        """Find where hand and target can be, all the time."""
-        locked = self.body.lockable_joints if self.lock_step == 0 else ()
-        at_all_times = self.disturbance(self.moments).cursor if self.is_timed else None
-        #: where hand and target can be
-        self.workspace = Workspace(self.body, self.given_body, locked, self.cursor, at_all_times)
-        reach = sum(self.body.segment_lengths)
-        #: distance from the base that the hand, or its cursor, never exceeds
-        self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
     def observe(
         self,

@@ -10,7 +10,6 @@ import math
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from mmc_gym._errors import (
     LONGEST,
     SMALLEST_SIZE,
     UserError,
+    frozen,
     is_point,
     is_whole,
     nearest,
@@ -29,7 +29,6 @@ from mmc_gym._errors import (
     require_finite,
     require_rows,
     require_whole,
-    spelt,
 )
 from mmc_gym.envs.workspace import Point, Workspace
 
@@ -98,8 +97,7 @@ class Task(ABC):
         """Draw a trial; the paths of all trials have the same number of places."""
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class RandomTarget(Task):
     """From any posture to a target anywhere in reach.
 
@@ -112,8 +110,7 @@ class RandomTarget(Task):
         return Trial(start, [request.draw_target(start)])
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class DoubleStep(RandomTarget):
     """The target jumps to another place while the hand is on its way.
 
@@ -132,8 +129,7 @@ class DoubleStep(RandomTarget):
         return Trial(start, targets * steps + [request.draw_target(start)])
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class ViaPoints(RandomTarget):
     """Random targets one after the other: the next appears when the last has been reached.
 
@@ -154,8 +150,7 @@ class ViaPoints(RandomTarget):
         return Trial(start, targets + more)
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class PointToPoint(Task):
     """From one of a list of points to another, starting at rest in the evenly bent posture."""
 
@@ -165,12 +160,12 @@ class PointToPoint(Task):
 
     def __post_init__(self) -> None:
         require_rows("points", self.points, "points (x, y), finite", is_point)
-        accepted = f"at least one pair of indices from 0 to {len(self.points) - 1}"
-        counts = range(1, sys.maxsize)
-        require_rows("pairs", self.pairs, accepted, self._are_indices, counts)
 
-    def _are_indices(self, pair: tuple[float, ...]) -> bool:
-        return len(pair) == 2 and set(pair) <= set(range(len(self.points)))
+        def are_indices(pair: tuple[float, ...]) -> bool:
+            return len(pair) == 2 and set(pair) <= set(range(len(self.points)))
+
+        accepted = f"at least one pair of indices from 0 to {len(self.points) - 1}"
+        require_rows("pairs", self.pairs, accepted, are_indices, range(1, sys.maxsize))
 
     @property
     @override
@@ -201,15 +196,13 @@ class PointToPoint(Task):
                     f"{trial} starts or ends"
                 )
 
-    def _ends(self, workspace: Workspace, trial: int) -> tuple[Point, Point]:
+    def _ends(self, workspace: Workspace, trial: int) -> list[Point]:
         """Return where the hand starts in a trial, and the target."""
-        start, target = (self.points[index] for index in self.pairs[trial])
-        reach = workspace.outer
-        return (start[0] * reach, start[1] * reach), (target[0] * reach, target[1] * reach)
+        ends, reach = (self.points[index] for index in self.pairs[trial]), workspace.outer
+        return [(x * reach, y * reach) for x, y in ends]
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class CuedTarget(PointToPoint):
     """The target waits at the start until a go cue, and may jump across the way in flight.
 
@@ -230,11 +223,9 @@ class CuedTarget(PointToPoint):
     @override
     def draw(self, request: Request) -> Trial:
         workspace, (posture, (target,)) = request.workspace, super().draw(request)
-        steps = [
-            round(time / workspace.body.control_step) for time in (self.go_cue, self.jump_time)
-        ]
-        start = self._ends(workspace, 0)[0]
-        before = [start] * steps[0] + [target] * (steps[1] if self.jump else 0)
+        start, step = self._ends(workspace, 0)[0], workspace.body.control_step
+        waits = round(self.jump_time / step) if self.jump else 0
+        before = [start] * round(self.go_cue / step) + [target] * waits
         x, y, share = target[0] - start[0], target[1] - start[1], self.jump / 100
         after = target[0] - share * y, target[1] + share * x
         accepted = "small enough for the target to stay in reach"
@@ -242,8 +233,7 @@ class CuedTarget(PointToPoint):
         return Trial(posture, [*before, after])
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class Pursuit(Task):
     """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
 
@@ -271,10 +261,8 @@ class Pursuit(Task):
     def draw(self, request: Request) -> Trial:
         workspace, start = request.workspace, request.draw_posture()
         count = max(1, round(self.period / workspace.body.control_step))
-        x, y = (
-            self._coordinate(multiples, count, request.random)
-            for multiples in (self.multiples_x, self.multiples_y)
-        )
+        x = self._coordinate(self.multiples_x, count, request.random)
+        y = self._coordinate(self.multiples_y, count, request.random)
         path = np.stack([x, 0.5 + y], axis=-1) * workspace.outer
         radii = np.hypot(*path.T)
         if workspace.inner < radii.min() and radii.max() < workspace.outer:
@@ -284,15 +272,12 @@ class Pursuit(Task):
     def _coordinate(
         self, multiples: Sequence[int], count: int, random: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return a coordinate along the path, (count,), in reaches, with random phases.
-
-        The amplitudes of its sines are inversely proportional to their frequencies, `multiples`.
-        """
+        """Return a coordinate along the path, (count,), in reaches, with random phases."""
         weights = 1 / np.array(multiples)
         amplitudes = self.amplitude * weights / weights.sum()
         time = np.arange(count)[:, None] / count * math.tau
         phases = random.uniform(-math.pi, math.pi, len(multiples))
-        waves: NDArray[np.float64] = amplitudes * np.sin(time * np.array(multiples) + phases)
+        waves = amplitudes * np.sin(time * np.array(multiples) + phases)
         return np.asarray(waves.sum(axis=-1))
 
 

@@ -26,8 +26,7 @@ from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.drawn import of_many, of_some, write
-from mmc_gym.envs.feedback import HandSight
-from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info, with_context
+from mmc_gym.envs.reach import GoalEnvironment, HandSight, Info, reward_and_info, with_context
 from mmc_gym.envs.spec import (
     Disturbance,
     Episodes,

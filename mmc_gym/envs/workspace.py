@@ -137,7 +137,9 @@ class Workspace:
         is raised if none is found.
         """
         for _ in range(_MOST_TARGETS):
-            target = self._target_of(*self._draw_hand(random, posture))
+            target = hand = self._draw_hand(random, posture)
+            if self.cursor is not None:
+                target = self.cursor.cursor(*hand, hand)
             if self.contains(target, posture if self._at_all_times else None):
                 return target
         raise self._no_target()
@@ -154,10 +156,9 @@ class Workspace:
     @property
     def is_ring(self) -> bool:
         """Whether all postures are possible and reach all targets between two radii."""
-        body, cursor = self.body, self.cursor
-        is_free = not self.locked and not body.joint_limits and not body.obstacles
+        cursor = self.cursor
         is_turn = cursor is None or (cursor.centre == (0.0, 0.0) and cursor.keeps_distance)
-        return is_free and is_turn
+        return is_turn and not (self.locked or self.body.joint_limits or self.body.obstacles)
 
     def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
         """Draw joint angles, (k, N), and targets, (k, 2), from k generators; requires `is_ring`.
@@ -166,10 +167,6 @@ class Workspace:
         """
         uniform = uniform_numbers(randoms, len(self.body.segment_lengths) + 2)
         return pairs_from(uniform, (self.inner, self.outer), self.cursor)
-
-    def _target_of(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the target that a hand at (x, y) reaches: where it is, or where its cursor is."""
-        return (x, y) if self.cursor is None else self.cursor.cursor(x, y, (x, y))
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:
@@ -276,8 +273,8 @@ def rings(lengths: Sequence[Any], given: Sequence[float]) -> tuple[Any, Any]:
 
 def shared_ring(*arms: ArmParameters) -> tuple[float, float]:
     """Return the smallest and the largest distance from the base that all these arms reach."""
-    rings = [reachable_radii(arm.segment_lengths) for arm in arms]
-    return max(inner for inner, _ in rings), min(outer for _, outer in rings)
+    inner, outer = zip(*(reachable_radii(arm.segment_lengths) for arm in arms))
+    return max(inner), min(outer)
 
 
 def distances(hands: Floats, targets: Floats) -> Floats:

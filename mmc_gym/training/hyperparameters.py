@@ -97,8 +97,7 @@ class Recipe:
     @property
     def algorithm_class(self) -> type[BaseAlgorithm]:
         """The algorithm's class."""
-        found: type[BaseAlgorithm] = resolve_name(ALGORITHMS[self.algorithm].path)
-        return found
+        return resolve_name(ALGORITHMS[self.algorithm].path)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -153,13 +152,8 @@ class Recipe:
                 mean = np.zeros(env.action_space.shape or ())
                 noise = NOISES[settings["noise_type"]]
                 options["action_noise"] = noise(mean, mean + settings["noise_std"])
-            return self.algorithm_class(
-                env=env,
-                seed=seed,
-                device=device,
-                tensorboard_log=tensorboard,
-                **options,
-            )
+            options |= {"seed": seed, "device": device, "tensorboard_log": tensorboard}
+            return self.algorithm_class(env=env, **options)
         except UserError:
             raise
         except Exception as error:  # whatever the constructor says
@@ -260,14 +254,11 @@ _TYPES = {  # of arguments of algorithms, where their annotation says less
 
 
 def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
-    """Return the keys that an entry for the algorithm may have, as fields of a pydantic model.
-
-    These are pairs of a type and a default, which is `...` where the key is required.
-    """
-    keys: dict[str, Any] = {}
-    for name, parameter in _parameters(algorithm).items():
-        kind = _TYPES.get(name, Annotated[parameter.annotation, _Numeric])
-        keys[name] = kind, parameter.default
+    """Return the keys that an entry for the algorithm may have, as fields of a pydantic model."""
+    keys: dict[str, Any] = {
+        name: (_TYPES.get(name, Annotated[one.annotation, _Numeric]), one.default)
+        for name, one in _parameters(algorithm).items()
+    }
     alias = next(name for name in algorithm.policy_aliases if name.startswith("Mlp"))
     policy = _class_from(algorithm.policy_aliases[alias], alias)
     return {**keys, "policy": (policy, ...), **_OUR_KEYS}

@@ -32,12 +32,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
-from mmc_gym.agents.policy_network import (
-    Activation,
-    Distribution,
-    Float32,
-    PolicyNetwork,
-)
+from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.interface import ObservationLayout
 
 _NO_SPREAD = -80.0  # the logarithm of a spread that changes no action
@@ -140,8 +135,7 @@ def export_network(
 
 
 def _array(parameter: torch.Tensor) -> Float32:
-    array: Float32 = parameter.detach().cpu().numpy().copy()
-    return array
+    return parameter.detach().cpu().numpy().copy()
 
 
 Tensors = dict[str, torch.Tensor]
@@ -182,8 +176,7 @@ def read_head(path: Path) -> dict[str, Any]:
         with safetensors.safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
         check_seal(content, metadata.get("sha256", ""))
-        head: dict[str, Any] = json.loads(metadata["head"])
-        return head
+        return json.loads(metadata["head"])
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} does not hold a training: {error}") from error
 
@@ -198,8 +191,8 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
         name: {**part, "state": {}} if "param_groups" in part else {}
         for name, part in model.get_parameters().items()
     }
-    variables, buffer = _variables(model), getattr(model, "replay_buffer", None)
-    arrays = _arrays(buffer) if buffer is not None else {}
+    buffer = getattr(model, "replay_buffer", None)
+    variables, arrays = _variables(model), _arrays(buffer) if buffer is not None else {}
     for key, tensor in safetensors.torch.load_file(path).items():
         kind, name, *rest = key.split("/")
         if kind == "variable":
@@ -221,7 +214,7 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
-    """Return the parameters outside of modules: the logarithm of a learned entropy coefficient."""
+    """Return the parameters outside of modules."""
     learned = getattr(model, "log_ent_coef", None)
     return {} if learned is None else {"log_ent_coef": learned}
 

@@ -77,7 +77,6 @@ class Training:
     curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        """Check the arguments, before anything is trained."""
         require_whole("evaluations", self.evaluations)
         fine = is_whole(self.seed) and 0 <= self.seed < 2**32
         require(fine, "seed", self.seed, "from 0 to 2**32 - 1")
@@ -111,9 +110,8 @@ class Training:
         for file in (self.checkpoint, *self.policy_files):
             if file.exists() and not (resume and self.checkpoint.exists()):
                 hint = "resume it, or " if file == self.checkpoint else ""
-                raise FileExistsError(
-                    f"{file} exists already: {hint}choose another folder, or delete it"
-                )
+                message = f"{file} exists already: {hint}choose another folder, or delete it"
+                raise FileExistsError(message)
         head = self.find_checkpoint()
         with one_torch_thread():
             settings = self.recipe.settings
@@ -348,6 +346,6 @@ def library_versions() -> dict[str, str]:
 
 def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
     """Evaluate a policy in the environment of its training, on the default engine (pymunk)."""
-    given = card.hyperparameters.get("env_kwargs", {})
-    arguments = {name: value for name, value in given.items() if name != "engine"}
+    arguments = {**card.hyperparameters.get("env_kwargs", {})}
+    arguments.pop("engine", None)
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)

@@ -30,14 +30,7 @@ from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.parameters import ArmParameters
-from mmc_gym.body.pymunk.linkage import (
-    MOTION,
-    HandField,
-    Linkage,
-    Walls,
-    forget_impulses,
-    make_space,
-)
+from mmc_gym.body.pymunk.linkage import MOTION, Linkage, Walls, forget_impulses, make_space
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 
@@ -117,14 +110,14 @@ class PymunkArm(SingleArm):
         space, substep = self._space._space, self.parameters.substep
         field, walls, records = self._field, self._walls, self.records_effort
         is_pushed = field is not None or walls is not None
-        before = self._velocities() if records else []
         if records:
+            before = self._velocities()
             self.servo_impulses, self.servo_work = [0.0] * self._count, [0.0] * self._count
         if walls is not None:
             walls.contacts[:] = 0.0
         for _ in range(self.parameters.substeps):
             if is_pushed:
-                self._push_hand(field)
+                self._push_hand()
             chipmunk.cpSpaceStep(space, substep)
             if field is not None:
                 self._yields = self._linkage.yields()
@@ -144,14 +137,14 @@ class PymunkArm(SingleArm):
         of_segments = [chipmunk.cpBodyGetAngularVelocity(rod) for rod, _, _ in self._linkage.rods]
         return [velocity - parent for velocity, parent in zip(of_segments, [0.0, *of_segments])]
 
-    def _push_hand(self, field: HandField | None) -> None:
-        """Set the force and torque of the field on the last segment for the next physics step."""
+    def _push_hand(self) -> None:
+        """Set force and torque on the last segment for the next physics step."""
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
         motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
         pushes: Any = np.zeros(3)
-        if field is not None:
-            impulses = field.impulses(motion, np.array(self._yields))
+        if self._field is not None:
+            impulses = self._field.impulses(motion, np.array(self._yields))
             pushes = impulses / self.parameters.substep
         if self._walls is not None:
             pushes = pushes + self._walls.pushes(motion[None])[0]

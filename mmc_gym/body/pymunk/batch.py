@@ -128,7 +128,7 @@ class ArmGroup:
 
     def _find_yields(self) -> ArrayLike:
         """Return `Linkage.yields` of all arms, (count, N); without stops and locks all at once."""
-        if self.linkages[0].has_stops_or_locks:
+        if self.linkages[0].stops or self.linkages[0].locks:
             return [linkage.yields() for linkage in self.linkages]
         give = self._read(chipmunk.cpConstraintGetImpulse, self._servos)
         most = self._read(chipmunk.cpConstraintGetMaxForce, self._servos)
@@ -203,7 +203,18 @@ class ArmGroup:
                     change_space(space, p)
         if parameters is not None or len(kept) < len(members):
             self._collect()
-        self._forget_impulses(kept, scratch)
+        linkages = [linkage for linkage, _ in kept]
+        if self._is_apart:
+            for linkage, space in kept:
+                forget_impulses(space, [linkage], linkage.parameters.substep)
+        elif len(linkages) == len(self.linkages):
+            forget_impulses(self._spaces[0], linkages, self._paces[0][1])
+        else:  # the other arms must not move
+            for linkage in linkages:
+                linkage.move_joints(self._spaces[0], scratch)
+            forget_impulses(scratch, linkages, self._paces[0][1])
+            for linkage in linkages:
+                linkage.move_joints(scratch, self._spaces[0])
         for member, posture, speeds in zip(members, joint_angles, joint_velocities):
             self.linkages[member].place(posture, speeds)
         self._yields[members] = 1.0
@@ -215,23 +226,6 @@ class ArmGroup:
         for member, p in zip(members, parameters, strict=True):
             self.linkages[member].load(self._spaces[member * self._is_apart], p)
         self._collect()
-
-    def _forget_impulses(
-        self, kept: Sequence[tuple[Linkage, pymunk.Space]], scratch: pymunk.Space
-    ) -> None:
-        """Clear what the joints of these arms remember; the other arms do not move."""
-        linkages = [linkage for linkage, _ in kept]
-        if self._is_apart:
-            for linkage, space in kept:
-                forget_impulses(space, [linkage], linkage.parameters.substep)
-        elif len(linkages) == len(self.linkages):
-            forget_impulses(self._spaces[0], linkages, self._paces[0][1])
-        else:
-            for linkage in linkages:
-                linkage.move_joints(self._spaces[0], scratch)
-            forget_impulses(scratch, linkages, self._paces[0][1])
-            for linkage in linkages:
-                linkage.move_joints(scratch, self._spaces[0])
 
 
 def _relative(absolute: Floats) -> Floats:
@@ -370,10 +364,11 @@ class PymunkArmBatch(ArmBatch):
     @property
     def contacts(self) -> Floats:  # type: ignore[override]
         """Contact of each arm, (count, 2)."""
-        none = [np.zeros((len(group.linkages), 2)) for group in self._groups]
-        walls = [group.walls for group in self._groups]
-        found = [zero if one is None else one.contacts for zero, one in zip(none, walls)]
-        return np.concatenate(found)
+        contacts = np.zeros((self._count, 2))
+        for group in self._groups:
+            if group.walls is not None:
+                contacts[group.arms] = group.walls.contacts
+        return contacts
 
     @override
     def _load(self, parameters: ArmParameters, arms: Indices) -> None:
@@ -389,6 +384,5 @@ class PymunkArmBatch(ArmBatch):
         """Yield each group with some of `arms`, their rows in `arms`, and their numbers in it."""
         owners = arms // self._arms_per_group
         for owner in np.unique(owners).tolist():
-            part = np.flatnonzero(owners == owner)
-            group = self._groups[owner]
+            part, group = np.flatnonzero(owners == owner), self._groups[owner]
             yield group, part, (arms[part] - group.arms.start).tolist()

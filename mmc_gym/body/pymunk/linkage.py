@@ -91,7 +91,7 @@ class Linkage:
         #: each lockable joint, with the constraint that makes it rigid
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
         self.locked = False  #: whether these constraints are closed
-        self._stops: list[Any] = []  # handles of the joint limits, where there are any
+        self.stops: list[Any] = []  #: handles of the joint limits, where there are any
         self._pivots: list[Any] = []  # handles
         # Every arm has its own base, a body outside of the Space.  The Space's static body would be
         # read and written by bulk calls.
@@ -120,7 +120,7 @@ class Linkage:
         """Return whether `change` takes these parameters: the arm has the joints they need."""
         locks = {joint for joint, _ in self.locks}
         has_limits = parameters.joint_limits is not None
-        return has_limits == bool(self._stops) and locks.issuperset(parameters.lockable_joints)
+        return has_limits == bool(self.stops) and locks.issuperset(parameters.lockable_joints)
 
     def change(self, parameters: ArmParameters) -> None:
         """Set all numbers; `place` has to follow."""
@@ -128,11 +128,8 @@ class Linkage:
         self._field: HandField | None = None
         self.rods, anchor = [], 0.0
         for joint, (length, rod) in enumerate(zip(p.segment_lengths, p.rods)):
-            segment, pivot, servo = (
-                self.segments[joint]._body,
-                self._pivots[joint],
-                self.servo_handles[joint],
-            )
+            segment, pivot = self.segments[joint]._body, self._pivots[joint]
+            servo = self.servo_handles[joint]
             chipmunk.cpBodySetMass(segment, rod.mass)
             chipmunk.cpBodySetMoment(segment, rod.inertia)
             chipmunk.cpPivotJointSetAnchorA(pivot, (anchor, 0.0))
@@ -143,7 +140,7 @@ class Linkage:
                 chipmunk.cpConstraintSetMaxBias(servo, p.speed_limit)
             self.rods.append((segment, length, rod.centre))
             anchor = length - rod.centre
-        for stop, (low, high) in zip(self._stops, p.joint_limits or ()):
+        for stop, (low, high) in zip(self.stops, p.joint_limits or ()):
             chipmunk.cpRotaryLimitJointSetMin(stop, low)
             chipmunk.cpRotaryLimitJointSetMax(stop, high)
         for _, lock in self.locks:
@@ -169,11 +166,6 @@ class Linkage:
         change_space(space, parameters)
 
     @property
-    def has_stops_or_locks(self) -> bool:
-        """Whether a stop or a lock may hold a joint."""
-        return bool(self._stops or self.locks)
-
-    @property
     def field(self) -> HandField:
         """The force field on the hand, of strength 0 if there is none."""
         if self._field is None:
@@ -193,7 +185,7 @@ class Linkage:
         constraints: list[pymunk.Constraint] = [servo]
         if p.joint_limits is not None:
             stop = pymunk.RotaryLimitJoint(parent, segment, -1.0, 1.0)
-            self._stops.append(stop._constraint)
+            self.stops.append(stop._constraint)
             constraints.append(stop)
         if joint in p.lockable_joints:
             lock = pymunk.GearJoint(parent, segment, 0.0, 1.0)
@@ -264,7 +256,7 @@ class Linkage:
         stop nor a lock holds it.
         """
         give, most = chipmunk.cpConstraintGetImpulse, chipmunk.cpConstraintGetMaxForce
-        held = {joint for joint, stop in enumerate(self._stops) if give(stop) > 0}
+        held = {joint for joint, stop in enumerate(self.stops) if give(stop) > 0}
         if self.locked:
             held |= set(self.parameters.lockable_joints)
         substep = self.parameters.substep
