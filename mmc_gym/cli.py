@@ -43,7 +43,6 @@ _WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
-    """Register a command under the function's name."""
     _commands[function.__name__.rstrip("_")] = function
     return function
 

@@ -31,7 +31,6 @@ class Listing(list[str]):
     """Names; a notebook shows them as a table with `headings` and `rows`, a line for each name."""
 
     def __init__(self, headings: Listed, rows: Iterable[Listed]) -> None:
-        """Make the list of the names in `rows`."""
         self.headings, self.rows = headings, tuple(rows)
         super().__init__(row.name for row in self.rows)
 
@@ -67,7 +66,6 @@ def list_tasks() -> Listing:
 
 
 def _episodes(task: Task) -> str:
-    """Return how long the episodes of a task are, and how many there are, in words."""
     count = "drawn" if task.trial_count is None else f"{task.trial_count} trials"
     return f"{task.episode_steps} steps, {count}"
 
@@ -180,7 +178,6 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _about(thing: object) -> str:
-    """Return the part of a docstring before the arguments."""
     text = inspect.getdoc(type(thing)) or ""
     return " ".join(text.partition("Attributes:")[0].split())
 

@@ -164,7 +164,6 @@ def mp4(pictures: Iterable[Picture], frame_rate: float) -> bytes:
 
 
 def _require_ffmpeg() -> Any:
-    """Return the function that writes MP4, or raise a `MissingExtraError`."""
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:

@@ -67,7 +67,6 @@ from mmc_gym.envs.tasks import (
     outward,
 )
 
-_NOT_KNOWN = "left out, as agents are given their arm once, not for each episode"
 BASELINE = "random"
 """The task without perturbation: strength 0 of every family."""
 
@@ -137,16 +136,18 @@ class Family:
             raise UserError(f"'-known' may follow {accepted} only, got it after {self.name!r}")
         if not self.has_strength and strength != self.default:
             raise UserError(f"{self.name} takes no strength, got {_digits(strength)}")
+        name = f"{self.name}-{_digits(strength)}"
         if isinstance(strength, Range):
-            name, accepted = f"the range of {self.name}", "from a low to a higher strength"
-            require(strength.low < strength.high, name, _digits(strength), accepted)
-            require(not known, f"{self.name}-{_digits(strength)}", "-known", _NOT_KNOWN)
+            accepted = "from a low to a higher strength"
+            fine = strength.low < strength.high
+            require(fine, f"the range of {self.name}", _digits(strength), accepted)
+            accepted = "left out, as agents are given their arm once, not for each episode"
+            require(not known, name, "-known", accepted)
             self.with_strength(strength.low)
             return replace(self.with_strength(strength.high), strength=None, range=strength)
         try:
             perturbation = self.make(strength)
         except (UserError, TypeError) as error:
-            name = f"{self.name}-{_digits(strength)}"
             raise UserError(f"{name} has no such strength: {error}") from error
         accepted, name = "a Perturbation of the strength", f"what {self.name!r} makes"
         require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
@@ -200,8 +201,7 @@ class Change:
     def is_drawn(self) -> bool:
         """Whether each episode draws its own strength or option."""
         one = self.perturbation
-        is_option = hasattr(one, "ppf")
-        return self.range is not None or is_option or bool(drawn_fields(one, self.untimed))
+        return bool(self.range or hasattr(one, "ppf") or drawn_fields(one, self.untimed))
 
     @property
     def untimed(self) -> Perturbation:
@@ -220,14 +220,14 @@ class Change:
         strength = self.strength if self.range is None else self.range
         if self.family is None or strength is None:
             return self.name
-        text = self.family.description.format(_digits(strength))
+        parts = [self.family.description.format(_digits(strength))]
         if self.family.known:
-            text += ", given to agents" if self.known else ", not given to agents"
-        words = {"at": "from {} s on", "over": "growing over {} s"}
+            parts.append("given to agents" if self.known else "not given to agents")
         if self.range is not None:
-            text += ", drawn for each episode"
-        timing = (words[word].format(_digits(seconds)) for word, seconds in self._timing)
-        return ", ".join([text, *timing])
+            parts.append("drawn for each episode")
+        words = {"at": "from {} s on", "over": "growing over {} s"}
+        parts += [words[word].format(_digits(seconds)) for word, seconds in self._timing]
+        return ", ".join(parts)
 
     def with_strength(self, strength: float) -> Change:
         """Return the same perturbation with another strength.
@@ -334,13 +334,11 @@ def _unknown(name: object, argument: str) -> UserError:
     text = name if isinstance(name, str) else ""
     if text in TASKS:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
-    known = [*TASKS, *FAMILIES] if argument == "scenario" else [*FAMILIES]
+    known, also = [*FAMILIES], "a Perturbation"
     if argument == "scenario":
-        also = "several (centre-out+rotation-30)"
+        known, also = [*TASKS, *FAMILIES], "several (centre-out+rotation-30)"
     elif "+" in text:
         also = f"a list such as {text.split('+')}"
-    else:
-        also = "a Perturbation"
     word, *strength = re.split("(-(?:-?[0-9].*|at-.*|over-.*|known))$", text)
     guess = nearest(word, known)
     meant = guess + "".join(strength)

@@ -140,7 +140,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     @takes(SingleArguments)
     def __init__(self, arguments: SingleArguments) -> None:
-        """Make the environment; the class docstring explains the arguments."""
         self._make(ReachSetup, arguments)
 
     def _make(self, kind: type[ReachSetup], arguments: SingleArguments) -> None:
@@ -315,7 +314,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._trace.append(self._arm.end_effector)
 
     def _command(self, action: ArrayLike) -> list[float]:
-        """Return the command to the servos; raise a `UserError` if the action is not accepted."""
         if type(action) is not np.ndarray or action.dtype.kind != "f":
             action = require_array("action", action, "numbers within -1 and 1")
         if action.shape != self._action_shape:
@@ -409,7 +407,6 @@ class HandSight:
     """Where the hands of n arms were last seen, and how far their movements are."""
 
     def __init__(self, count: int, control_step: float) -> None:
-        """Begin without arms: each is reset by the look at its step 0."""
         self._seen, self._hands = np.zeros((2, count, 2))
         self._peaks, self._fastest_rest = np.zeros(count), _FASTEST_REST * control_step
         self._has_ended = np.zeros(count, dtype=bool)
@@ -423,14 +420,9 @@ class HandSight:
         seen: Floats,
         feedback: Sequence[Feedback],
     ) -> Floats:
-        """Return where the hands of k arms are seen, (k, 2).
+        """Return where the hands of k arms are seen, (k, 2), given where they would be `seen`.
 
-        Args:
-            arms: their indices, (k,).
-            steps: control steps since the start, (k,).
-            hands: true positions of the hands, (k, 2).
-            seen: positions as they would be seen, late and with noise, (k, 2).
-            feedback: when they are.
+        The `arms` are indices, (k,), their `steps` control steps since the start, (k,).
         """
         starts = steps == 0
         self._peaks[arms[starts]], self._has_ended[arms[starts]] = 0.0, False
@@ -544,5 +536,4 @@ class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
 
     @takes(SingleGoalArguments)
     def __init__(self, arguments: SingleGoalArguments) -> None:
-        """Make the environment; the class docstring explains the arguments."""
         self._make(GoalSetup, arguments)

@@ -320,7 +320,6 @@ class Renderer:
             canvas.disc(REACHABLE, nodes[joint], 3)  # the keyhole
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
-        """Paint arm, hand and target where an observation of `MMCReach-v0` shows them."""
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
@@ -375,7 +374,6 @@ class Window:
     """A window that shows pictures at a steady rate until its user closes it."""
 
     def __init__(self, frame_rate: int) -> None:
-        """Open the window; it shows at most `frame_rate` pictures a second."""
         open_display()
         pygame.display.set_caption("mmc-gym")
         self._surface = pygame.display.set_mode((SIZE, SIZE))

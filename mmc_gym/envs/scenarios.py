@@ -227,7 +227,6 @@ class OwnEnvironment:
         return spec is not None and str(spec.entry_point).startswith("mmc_gym.envs.")
 
     def _made(self, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
-        """Return what the id, "module:function" or function makes from these arguments."""
         make: Any = self.env
         if isinstance(make, str):
             from mmc_gym._files import import_object, look_here  # `import mmc_gym` loads no yaml

@@ -153,6 +153,7 @@ class ReachSetup:
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task, *(one.name for one in changes)])
         self.unperturbed = arguments.arm  #: the arm of the arguments
+        self.control_step = self.unperturbed.control_step  #: its duration, s
         if self.draws is None:
             self._perturb(changes)
         else:
@@ -199,7 +200,6 @@ class ReachSetup:
         return bool(self.noises) or self.farthest > self.reach
 
     def _perturb(self, changes: Sequence[Change], is_checked: bool = True) -> None:
-        """Apply perturbations whose numbers are known."""
         self.perturbations = tuple(one.perturbation for one in changes)
         self._change_arm(changes, is_checked)
         timed = [one for one in self.perturbations if isinstance(one, Timed)]
@@ -291,13 +291,12 @@ class ReachSetup:
             body = self._drawn_body(parts)
             ring = rings(body.segment_lengths, self.given_body.segment_lengths)
         times = [one.time for one in parts if isinstance(one, LockedJoint)]
-        step = self.unperturbed.control_step
-        return Episodes(body, ring, senses, cursor, _lock_steps(times[0], step) if times else -1)
+        return Episodes(body, ring, senses, cursor, self._in_steps(times[0]) if times else -1)
 
     def _disturb_senses(self, changes: Sequence[Change], timed: Sequence[Timed]) -> None:
         """Find out what disturbs the senses with all perturbations at their full strength."""
         self.parts = [self._placed(one) for one in senses_of(self.perturbations)]
-        step = self.unperturbed.control_step
+        step = self.control_step
         self.is_timed = bool(timed)  #: whether perturbations begin or grow within an episode
         #: control steps of an episode between which no timed one changes much, in order
         self.moments: Any = np.unique([n for one in timed for n in one.moments(step)] or [0])
@@ -317,7 +316,7 @@ class ReachSetup:
 
     def _check_loads(self, changes: Sequence[Change]) -> None:
         """Refuse what cannot change the arm within an episode."""
-        every = [one.moments(self.unperturbed.control_step) for one in self.loads]
+        every = [one.moments(self.control_step) for one in self.loads]
         # Between these control steps loads and fields change evenly: they are largest at the ends.
         corners = {moments[place] for moments in every for place in (0, 1, -1)}
         for body in map(self.body_after, sorted(corners)):
@@ -331,13 +330,13 @@ class ReachSetup:
     def body_after(self, steps: Any) -> ArmColumns:
         """Return the arm after so many control steps, or n arms after (n,) of them."""
         body = ArmColumns.of(self.unperturbed)
-        for one in timed_parts(self.perturbations, steps, self.unperturbed.control_step):
+        for one in timed_parts(self.perturbations, steps, self.control_step):
             body = one.change_body(body)  # type: ignore[assignment]
         return body
 
     def is_loaded_after(self, steps: Any) -> Any:
         """Tell whether the arm is another after so many control steps than a step before, (...)."""
-        step = self.unperturbed.control_step
+        step = self.control_step
         changed = [one.share(steps, step) != one.share(steps - 1, step) for one in self.loads]
         return np.any(changed, axis=0)
 
@@ -346,12 +345,11 @@ class ReachSetup:
 
         It follows from the perturbations `of` n arms, or else from those of the setup.
         """
-        control_step = self.unperturbed.control_step
-        parts = timed_parts(self.parts if of is None else of, steps, control_step)
+        parts = timed_parts(self.parts if of is None else of, steps, self.control_step)
 
         def delay(kind: type[Delay]) -> Any:
             seconds = sum(one.seconds for one in parts if isinstance(one, kind))
-            late = np.rint(np.divide(seconds, control_step)).astype(int)
+            late = self._in_steps(seconds)
             return late if late.ndim else int(late)
 
         noises = [one for one in parts if isinstance(one, Noise)]
@@ -370,6 +368,10 @@ class ReachSetup:
         placed = copy(one)  # not `replace`, which forgets whether it is shown
         vars(placed)["centre"] = x * outer, y * outer
         return placed
+
+    def _in_steps(self, seconds: Any) -> Any:
+        """Return the control steps after which something happens at a time, or at several."""
+        return np.rint(np.divide(seconds, self.control_step)).astype(int)
 
     def _drawn_body(self, parts: Sequence[Perturbation]) -> ArmColumns:
         """Return the arm under perturbations as they may be drawn, which were checked before."""
@@ -391,9 +393,8 @@ class ReachSetup:
         times = {one.time for one in self.perturbations if isinstance(one, LockedJoint)}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
-        step = self.unperturbed.control_step
         #: control steps after which joints lock, or None
-        self.lock_step = int(_lock_steps(times.pop(), step)) if times else None
+        self.lock_step = int(self._in_steps(times.pop())) if times else None
 
     @property
     def ring(self) -> tuple[Any, Any]:
@@ -467,7 +468,6 @@ class ReachSetup:
         raise reason
 
     def _checked(self, trial: Any) -> Trial:
-        """Return what your own task drew; raise a `UserError` that names it if it is no trial."""
         name, workspace = f"{type(self.task).__name__}.draw", self.workspace
         accepted = "a Trial(joint_angles, targets)"
         require(isinstance(trial, Trial), f"what {name} returns", trial, accepted)
@@ -510,7 +510,6 @@ class ReachSetup:
         return checked
 
     def _check_context(self, context: Any) -> dict[str, NDArray[np.float64]]:
-        """Return drawn numbers by name; raise a `UserError` if one is unknown or impossible."""
         names = [one.name for one in self.draws.strengths] if self.draws else []
         name = "options['context']"
         require(isinstance(context, Mapping), name, context, "a mapping of numbers by name")
@@ -557,13 +556,7 @@ class ReachSetup:
         return int(trial)
 
 
-def _lock_steps(time: Any, control_step: float) -> Any:
-    """Return the control steps after which a joint locks at a time, or at several."""
-    return np.rint(np.divide(time, control_step)).astype(int)
-
-
 def _changes(perturbations: Any) -> list[Change]:
-    """Return one perturbation, or a sequence of them, as a list."""
     if isinstance(perturbations, str | Mapping) or not isinstance(perturbations, Sequence):
         perturbations = (perturbations,)
     return [as_change(one) for one in perturbations]
@@ -585,7 +578,6 @@ class GoalSetup(ReachSetup):
     """What follows from the arguments of a goal environment."""
 
     def __init__(self, arguments: ReachArguments) -> None:
-        """Raise a `UserError` if the reward would not follow from goals."""
         super().__init__(arguments)
         if self.is_sight_disturbed or self.delay or self.task.advance == "reach":
             raise UserError(

@@ -43,7 +43,6 @@ class FlatObservation(BaseFeaturesExtractor):
     """Observations in the form of `MMCReach-v0`, as a layer without parameters."""
 
     def __init__(self, observation_space: spaces.Space[Any], joint_count: int) -> None:
-        """Make the layer; a `UserError` if observations are not of an arm of these joints."""
         self.layout = layout = ObservationLayout(joint_count, reach=1.0)  # of any reach
         super().__init__(observation_space, layout.size + layout.additions(observation_space))
 
@@ -62,7 +61,6 @@ class TQCGoalPolicy(TQCPolicy):
         lr_schedule: Schedule,
         **options: Any,
     ) -> None:
-        """Make a policy with the options of its base class."""
         options |= {"features_extractor_class": FlatObservation}
         options |= {"features_extractor_kwargs": {"joint_count": action_space.shape[0]}}
         super().__init__(observation_space, action_space, lr_schedule, **options)

@@ -138,7 +138,6 @@ class PymunkArm(SingleArm):
         return [velocity - parent for velocity, parent in zip(of_segments, [0.0, *of_segments])]
 
     def _push_hand(self) -> None:
-        """Set force and torque on the last segment for the next physics step."""
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
         motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]

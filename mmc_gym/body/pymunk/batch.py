@@ -73,7 +73,6 @@ class ArmGroup:
         self._collect()
 
     def _collect(self) -> None:
-        """Collect what a step needs of the arms."""
         self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
         self._bodies = [body for linkage in self.linkages for body, _, _ in linkage.rods]
         every = [linkage.parameters for linkage in self.linkages]
