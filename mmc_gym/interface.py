@@ -419,11 +419,11 @@ class ReachInterface:
         batch = np.shape(seen.joint_angles)[:-1]
         joints, axes = self._joint_count, 2 if self.arm is None else 3
         sizes = {"joint_angles": joints, "target": axes, "joint_speeds": joints, "hand": axes}
-        checked = {
-            name: _finite(f"{name} of see", getattr(seen, name), (*batch, size))
-            for name, size in sizes.items()
-        }
-        return replace(seen, **{k: one.astype(np.float64) for k, one in checked.items()})
+        checked: dict[str, Any] = {}
+        for name, size in sizes.items():
+            array = _finite(f"{name} of see", getattr(seen, name), (*batch, size))
+            checked[name] = array.astype(np.float64, copy=False)
+        return replace(seen, **checked)
 
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""

@@ -36,7 +36,6 @@ from mmc_gym._errors import (
     require_numbers,
     require_positive,
     shown,
-    spelt,
 )
 from mmc_gym.envs.workspace import Point, distances
 from mmc_gym.interface import Seen
@@ -633,8 +632,7 @@ class OneOf(Perturbation):
         return 0.0, len(self.options) - 1.0
 
 
-@spelt
-@dataclass(frozen=True)
+@frozen
 class Timed(Perturbation):
     """A perturbation begins at a time of the episode, and may grow from then on.
 
