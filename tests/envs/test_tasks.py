@@ -23,14 +23,7 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.tasks import (
-    DoubleStep,
-    PointToPoint,
-    Pursuit,
-    RandomTarget,
-    Trial,
-    ViaPoints,
-)
+from mmc_gym.envs.tasks import DoubleStep, PointToPoint, Pursuit, RandomTarget, Trial, ViaPoints
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import reachable_radii, segments_from_joint_angles
@@ -38,11 +31,6 @@ from mmc_gym.measures import run_episodes
 from studies.paper.protocol import PAIRS, TARGETS
 
 NO_ACTION = np.zeros(3, np.float32)
-
-
-class Misspelt(RandomTarget):
-    def drawn(self, request):
-        return super().draw(request)
 
 
 def targets_of(env, steps, **reset):
@@ -69,6 +57,7 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
 
 
 def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
+    misspelt = type("Misspelt", (RandomTarget,), {"drawn": RandomTarget.draw})()
     for task, arguments, message in (
         ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture"),
         # The cursor leaves the reach.
@@ -76,7 +65,7 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
         ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
-        (Misspelt(), {}, r"a method of Misspelt must be draw\(self, request\), got 'drawn'"),
+        (misspelt, {}, r"a method of Misspelt must be draw\(self, request\), got 'drawn'"),
         ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
     ):
         with pytest.raises(UserError, match=message):
@@ -84,13 +73,10 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
 
 
 class Mine(RandomTarget):
-    """The path is what `drawn` returns."""
+    """The trials are what `drawn` returns."""
 
     def __init__(self, drawn):
-        object.__setattr__(self, "drawn", drawn)
-
-    def draw(self, request):
-        return self.drawn(request)
+        object.__setattr__(self, "draw", drawn)
 
 
 @pytest.mark.parametrize("make", [MMCReachEnv, MMCReachVectorEnv])
@@ -107,11 +93,19 @@ class Mine(RandomTarget):
 def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(make, drawn, message):
     with pytest.raises(UserError, match=message):
         make(task=Mine(drawn))
-    path = np.array([[0.0, 1.0], [0.5, 1.0]])  # arrays are paths, too
+
+
+@pytest.mark.parametrize("make", [MMCReachEnv, partial(MMCReachVectorEnv, 1)])
+def test_paths_may_be_arrays_and_have_the_length_that_is_drawn_and_no_other(make):
+    path = np.array([[0.0, 1.0], [0.5, 1.0]])
     env = make(task=Mine(lambda request: Trial(np.zeros(3), path)))
     env.reset(seed=0)
     *_, info = env.step(np.zeros(env.action_space.shape, np.float32))
     assert np.ravel(info["target"]).tolist() == path[1].tolist()
+    assert env.setup.path_length == 2
+    path = np.array([[0.0, 1.0]] * 3)
+    with pytest.raises(UserError, match="task must be one whose paths have 2"):
+        env.reset(seed=0)
 
 
 def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far():
@@ -142,27 +136,21 @@ def test_the_target_jumps_once_and_at_its_time(arguments, step):
         assert jumps.tolist() == [step]
 
 
-def test_a_pursued_target_has_the_stated_frequencies_and_no_others():
-    task = TASKS["pursuit"].task
-    assert isinstance(task, Pursuit)
-    path = targets_of(MMCReachEnv(task="pursuit"), 499, seed=0)
-    np.testing.assert_allclose(path.mean(axis=0), (0.0, 1.5), atol=1e-9)
-    amplitudes = np.abs(np.fft.rfft(path - (0.0, 1.5), axis=0)) / 250
-    for coordinate, multiples in zip(amplitudes.T, (task.multiples_x, task.multiples_y)):
-        assert tuple(np.flatnonzero(coordinate > 1e-9)) == multiples
-        assert coordinate.sum() == pytest.approx(0.3 * 3)
-        slow, fast = multiples  # amplitudes go with the inverse of the frequency
-        assert coordinate[slow] / coordinate[fast] == pytest.approx(fast / slow)
-
-
-def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time():
-    env = MMCReachEnv(task="pursuit")
-    assert env.setup.path_length == TASKS["pursuit"].task.episode_steps == 500
+def test_a_pursued_target_has_the_stated_frequencies_is_in_reach_and_another_each_time():
+    env, task = MMCReachEnv(task="pursuit"), TASKS["pursuit"].task
+    assert env.setup.path_length == task.episode_steps == 500
     path, other = (targets_of(env, 1000, seed=seed) for seed in range(2))
     np.testing.assert_array_equal(path[:500], path[500:1000])
     assert np.linalg.norm(path, axis=-1).max() < 3.0
     assert 0 < np.linalg.norm(np.diff(path, axis=0), axis=-1).max() < 0.06  # and nowhere jumps
     assert not np.array_equal(path[0], other[0])
+    np.testing.assert_allclose(path[:500].mean(axis=0), (0.0, 1.5), atol=1e-9)
+    amplitudes = np.abs(np.fft.rfft(path[:500] - (0.0, 1.5), axis=0)) / 250
+    for coordinate, multiples in zip(amplitudes.T, (task.multiples_x, task.multiples_y)):
+        assert tuple(np.flatnonzero(coordinate > 1e-9)) == multiples
+        assert coordinate.sum() == pytest.approx(0.3 * 3)
+        slow, fast = multiples  # amplitudes go with the inverse of the frequency
+        assert coordinate[slow] / coordinate[fast] == pytest.approx(fast / slow)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -178,23 +166,6 @@ def test_the_next_via_point_appears_at_the_last_and_only_the_end_is_a_success(se
     succeeds = (is_last & (episode.distances <= 0.05))[1:]
     assert succeeds[-1]
     np.testing.assert_array_equal(episode.rewards, np.where(succeeds, 0.0, -1.0))
-
-
-def test_paths_have_the_length_that_is_drawn_and_no_other():
-    class Growing(RandomTarget):
-        """Paths of as many places as asked for."""
-
-        places = 2
-
-        def draw(self, request):
-            return Trial(request.draw_posture(), [(1.0, k / 10) for k in range(self.places)])
-
-    for make in (MMCReachEnv, partial(MMCReachVectorEnv, 1)):
-        env = make(task=Growing())
-        assert env.setup.path_length == Growing.places
-        with pytest.raises(UserError, match=rf"task must be one whose paths have {Growing.places}"):
-            Growing.places += 1
-            env.reset(seed=0)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -250,9 +221,8 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(lengths):
     x, y = np.array([workspace(lengths).draw_target(random, []) for _ in range(5_000)]).T
     inner, outer = reachable_radii(lengths)
     area = (x**2 + y**2 - inner**2) / (outer**2 - inner**2)
-    assert stats.kstest(area, "uniform").pvalue > 0.01
     angle = (np.arctan2(y, x) + math.pi) / math.tau
-    assert stats.kstest(angle, "uniform").pvalue > 0.01
+    assert min(stats.kstest(one, "uniform").pvalue for one in (area, angle)) > 0.01
     assert abs(np.corrcoef(area, angle)[0, 1]) < 4 / math.sqrt(5_000)
 
 
@@ -328,8 +298,6 @@ def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(lengths, sha
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):
     rotation, random = VisuomotorRotation(degrees, centre), np.random.default_rng(0)
     space = Workspace(ArmParameters(), cursor=rotation)
-    for _ in range(300):
-        target = space.draw_target(random, [])
+    for target in (space.draw_target(random, []) for _ in range(300)):
         assert space.contains(target)
-        assert math.hypot(*target) <= 3 + 1e-8
-        assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
+        assert max(math.hypot(*target), math.hypot(*rotation.hand(*target))) <= 3 + 1e-8

@@ -12,7 +12,6 @@ from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
 from studies.learners.ppo_residual import Residual
 
-POLICIES = "mmc_gym.training.policies"
 RESIDUAL = "studies.learners.ppo_residual.Residual"
 HER = "HerReplayBuffer"
 
@@ -41,15 +40,18 @@ def test_every_file_describes_a_model(name):
     assert ("128" in layers) == ("policy_kwargs" in before)
 
 
-def test_unknown_names_and_environments_are_errors():
-    with pytest.raises(UserError, match="name 'dqn' is not accepted"):
-        read_recipe("dqn")
-    with pytest.raises(UserError, match="env for ppo 'Pendulum-v1' is not accepted"):
-        read_recipe("ppo", "Pendulum-v1")
-    with pytest.raises(UserError, match=r"name must begin with one of ppo, .*, td3, got 'dqn'"):
-        _ = Recipe("dqn", "MMCReach-v0", {}).settings
-    with pytest.raises(UserError, match="policy must be given; n_timesteps must be given"):
-        _ = Recipe("ppo", "MMCReach-v0", {}).settings
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        (lambda: read_recipe("dqn"), "name 'dqn'"),
+        (lambda: read_recipe("ppo", "Pendulum-v1"), "env for ppo 'Pendulum-v1'"),
+        (lambda: Recipe("dqn", "MMCReach-v0", {}).settings, "begin with one of ppo, .*'dqn'"),
+        (lambda: Recipe("ppo", "MMCReach-v0", {}).settings, "policy must .*; n_timesteps must"),
+    ],
+)
+def test_unknown_names_and_environments_are_errors(read, message):
+    with pytest.raises(UserError, match=message):
+        read()
 
 
 def test_your_own_file_is_read_by_its_path(tmp_path):
@@ -135,52 +137,41 @@ def test_all_that_an_entry_names_is_made():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "message"),
+    ("algorithm", "key", "value", "message"),
     [
-        ("learning_rat", 1e-3, "did you mean 'learning_rate'"),
-        ("policy", f"{POLICIES}.TQCGoalPolicy", "policy must be MlpPolicy"),
-        ("rollout_buffer_class", "os.system", "got 'os.system'"),
-        ("vec_env_wrapper", [RESIDUAL, "os.system"], "got 'os.system'"),
-        ("vec_env_wrapper", {RESIDUAL: 3}, "got 3"),
-        ("policy_kwargs", "dict(net_arch=os.system('ls'))", "policy_kwargs must be a mapping"),
-        ("policy_kwargs", "ls()", "policy_kwargs must be a mapping"),
-        ("policy_kwargs", {"activation_fn": "nn.ELU"}, "relu or tanh as activation_fn"),
-        ("env_kwargs", "control", "env_kwargs must be a valid dictionary"),
-        ("n_timesteps", 0, "n_timesteps must be at least 1"),
+        ("ppo", "learning_rat", 1e-3, "'learning_rate'"),
+        ("ppo", "policy", "mmc_gym.training.policies.TQCGoalPolicy", "policy must be MlpPolicy"),
+        ("ppo", "rollout_buffer_class", "os.system", "got 'os.system'"),
+        ("ppo", "vec_env_wrapper", [RESIDUAL, "os.system"], "got 'os.system'"),
+        ("ppo", "vec_env_wrapper", {RESIDUAL: 3}, "got 3"),
+        ("ppo", "policy_kwargs", "dict(net_arch=os.system('ls'))", "policy_kwargs must be"),
+        ("ppo", "policy_kwargs", "ls()", "policy_kwargs must be a mapping"),
+        ("ppo", "policy_kwargs", {"activation_fn": "nn.ELU"}, "relu or tanh as activation_fn"),
+        ("ppo", "env_kwargs", "control", "env_kwargs must be a valid dictionary"),
+        ("ppo", "n_timesteps", 0, "n_timesteps must be at least 1"),
         # A leg that would never end.
-        ("env_kwargs", {"max_episode_steps": None}, "max_episode_steps must be a whole number"),
-        ("n_steps", 0, "n_steps must be at least 1"),
-        ("normalize", "os.system('ls')", "normalize must be a mapping"),
-        ("noise_type", "white", "noise_type must be 'normal' or 'ornstein-uhlenbeck'"),
+        ("ppo", "env_kwargs", {"max_episode_steps": None}, "max_episode_steps must be"),
+        ("ppo", "n_steps", 0, "n_steps must be at least 1"),
+        ("ppo", "normalize", "os.system('ls')", "normalize must be a mapping"),
+        ("ppo", "noise_type", "white", "noise_type must be 'normal' or"),
+        ("sac", "replay_buffer_class", "Pickle", "got 'Pickle'"),
+        ("sac", "train_freq", 0, "train_freq.* must be .*, got 0"),
     ],
 )
-def test_a_mistake_is_named_with_the_value_and_what_is_accepted(key, value, message):
+def test_a_mistake_is_named_with_the_value_and_what_is_accepted(algorithm, key, value, message):
     with pytest.raises(UserError, match=message):
-        recipe(**{key: value}).steps_per_leg(25)
-
-
-@pytest.mark.parametrize(("key", "value"), [("replay_buffer_class", "Pickle"), ("train_freq", 0)])
-def test_a_mistake_in_what_only_sac_takes_is_named(key, value):
-    with pytest.raises(UserError, match=f"{key}.* must be .*, got {value!r}"):
-        recipe("sac", **{key: value}).steps_per_leg(25)
+        recipe(algorithm, **{key: value}).steps_per_leg(25)
 
 
 @pytest.mark.parametrize(
     ("algorithm", "key", "value", "message"),
     [
-        (
-            "ppo",
-            "policy_kwargs",
-            {"net_architecture": [8]},
-            "net_architecture'.*unexpected keyword",
-        ),
+        ("ppo", "policy_kwargs", {"net_architecture": [8]}, "net_architecture'"),
         ("ppo", "batch_size", 1, "AssertionError: `batch_size`"),
-        ("ppo", "vec_env_wrapper", [{RESIDUAL: {"base": 1}}], "unexpected keyword argument 'base'"),
-        ("sac", "ent_coef", "auto_x", "ValueError: could not convert string to float: 'x'"),
+        ("ppo", "vec_env_wrapper", [{RESIDUAL: {"base": 1}}], "unexpected .* 'base'"),
+        ("sac", "ent_coef", "auto_x", "ValueError: .*'x'"),
     ],
 )
 def test_what_only_the_constructor_can_refuse_is_said_in_its_words(algorithm, key, value, message):
-    with pytest.raises(
-        UserError, match=rf"hyperparameters of {algorithm}-mine must be .*{message}"
-    ):
+    with pytest.raises(UserError, match=f"hyperparameters of {algorithm}-mine must .*{message}"):
         make(recipe(algorithm, **{key: value}))

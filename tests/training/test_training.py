@@ -182,15 +182,12 @@ def test_nothing_is_overwritten_unasked(trained, tmp_path, file):
 
 
 def test_a_checkpoint_of_another_training_is_refused(trained, monkeypatch):
-    with pytest.raises(UserError, match=r"n_epochs 2 \(here 3\), gamma 0.9 \(here 0.5\): resume"):
-        training("ppo", trained, gamma=0.5, n_epochs=3).run(resume=True)
-    with pytest.raises(UserError, match=r"with n_timesteps 1600 \(here 800\): "):
-        training("ppo", trained, n_timesteps=800).run(resume=True)
     versions = {**module.library_versions(), "numpy": "0.1"}
     monkeypatch.setattr(module, "library_versions", lambda: versions)
-    message = r"with seed 3 \(here 4\), numpy [\d.]+ \(here 0.1\): .* delete "
-    with pytest.raises(UserError, match=message):
-        training("ppo", trained, seed=4).run(resume=True)
+    differing = ("seed 3", 4), ("n_epochs 2", 3), ("gamma 0.9", 0.5), (r"numpy [\d.]+", 0.1)
+    named = ", ".join(rf"{before} \(here {now}\)" for before, now in differing)
+    with pytest.raises(UserError, match=f"{named}: .* delete "):
+        training("ppo", trained, seed=4, gamma=0.5, n_epochs=3).run(resume=True)
 
 
 def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
@@ -206,18 +203,6 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
             module.read_head(tmp_path / CHECKPOINT)
 
 
-def test_impossible_trainings_are_refused(tmp_path, monkeypatch):
-    for arguments, message in (
-        ({"device": "cuda:99"}, "device must be one that .*, got 'cuda:99'"),
-        ({"device": "meta"}, "device must be one that .*, got 'meta'"),
-        ({"seed": -1}, "seed must be from 0 to .*, got -1"),
-        ({"tensorboard": Path("logs")}, r'pip install "mmc-gym\[training\]"'),
-    ):
-        monkeypatch.setitem(sys.modules, "tensorboard", None)
-        with pytest.raises(UserError, match=message):
-            Training(**{"recipe": tiny("ppo"), "seed": 3, "folder": tmp_path, **arguments})
-
-
 def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
     one = Training(tiny("ppo", n_timesteps=1601), 3, tmp_path, evaluations=LEGS, device="auto")
     best = "cuda" if torch.cuda.is_available() else "cpu"
@@ -227,21 +212,28 @@ def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"device": "cuda:99"}, "device must be one that .*'cuda:99'"),
+        ({"device": "meta"}, "device must be one that .*'meta'"),
+        ({"seed": -1}, "seed must be from 0 to .*, got -1"),
+        ({"tensorboard": Path("logs")}, r"mmc-gym\[training\]"),
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps"),  # hung when evaluated
-        ({"use_sde": True}, "must give a policy that acts: tensors must be"),
-        ({"normalize": {"norm": True}}, "unexpected keyword argument 'norm'"),
+        ({"use_sde": True}, "a policy that acts: tensors must be"),
+        ({"normalize": {"norm": True}}, "unexpected .*'norm'"),
         ({"vec_env_wrapper": {RESIDUAL: {"base_agent": "ik"}}}, "base_agent must be one of"),
         ({"memory": [0]}, r"memory.0 must be at least 1, got 0"),
         ({"env_id": "MMCReach-v99"}, "env must be the id of an environment"),
         ({"env_id": "Pendulum-v1"}, "env must be a reaching environment"),
-        ({"env_kwargs": {"colour": 1}}, "unexpected keyword argument 'colour'"),
+        ({"env_kwargs": {"colour": 1}}, "unexpected .*'colour'"),
     ],
 )
-def test_mistakes_in_hyperparameters_are_named_before_training(tmp_path, changes, message):
-    env_id = changes.pop("env_id", "MMCReach-v0")
-    recipe = Recipe("ppo", env_id, tiny("ppo", **changes).hyperparameters)
+def test_mistakes_are_named_before_training(tmp_path, monkeypatch, changes, message):
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    settings = {"seed": 3, "device": "cpu", "tensorboard": None, "env_id": "MMCReach-v0"}
+    given = {name: changes.get(name, value) for name, value in settings.items()}
+    others = {name: value for name, value in changes.items() if name not in settings}
+    recipe = Recipe("ppo", given.pop("env_id"), tiny("ppo", **others).hyperparameters)
     with pytest.raises(UserError, match=message):
-        Training(recipe, 3, tmp_path / "out").run()
+        Training(recipe, folder=tmp_path / "out", **given).run()
     assert not (tmp_path / "out").exists()
 
 
@@ -293,11 +285,10 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     np.testing.assert_array_equal(mmc.predict(env.reset(seed=1)[0])[0], action)
 
 
-def test_wrong_types_of_arguments_are_named():
-    with pytest.raises(UserError, match="out must be the path of a folder, got 3"):
-        mmc_gym.train("ppo", steps=1, out=3)
-    with pytest.raises(UserError, match="env_kwargs must be a mapping, got 3"):
-        mmc_gym.train("ppo", steps=1, env_kwargs=3)  # type: ignore[arg-type]
+@pytest.mark.parametrize(("name", "what"), [("out", "the path"), ("env_kwargs", "a map")])
+def test_wrong_types_of_arguments_are_named(name, what):
+    with pytest.raises(UserError, match=f"{name} must be {what}.*, got 3"):
+        mmc_gym.train("ppo", steps=1, **{name: 3})
 
 
 def test_a_policy_remembers_in_play_what_it_saw_in_training(tmp_path):
