@@ -3,6 +3,7 @@
 import re
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -14,7 +15,6 @@ from rich.console import Console
 
 from mmc_gym import TrialLearner, make_vec
 from mmc_gym._errors import UserError
-from mmc_gym.agents.base import Agent
 from mmc_gym.experiments import trials
 from mmc_gym.experiments.adaptation import learning_of
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
@@ -34,22 +34,25 @@ SHORT = Experiment(
     trial_seconds=0.3,
     noise=("joint-noise-0.01",),
 )
+GRADUAL = Experiment("x", (Block("a", 2), Block("b", 7, "delay-40", gradual=True)))
 
 
-class Counter(Agent):
-    """Turns its first joint the faster the more trials, and seconds of rest, there were."""
+class Known(TrialLearner):
+    def aim(self, target, state):
+        return target - state
 
-    def __init__(self, env):
-        self.layout = ReachInterface.of(env).layout
+    def learn(self, error, state):
+        return 0.9 * state + 0.3 * error
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        state = np.zeros(len(observation)) if state is None else state
-        action = np.zeros((len(observation), 3), np.float32)
-        action[:, 0] = 0.1 * state
-        return action, state
+    def rest(self, seconds, state):
+        return 0.5 * state
 
-    def between_trials(self, state, rest=0.0):
-        return state + 1 + rest
+
+class Differs(Known):
+    motor_noise, noise_spread = 0.1, 0.3
+
+    def first(self, random):
+        return random.normal(0.0, 20.0)
 
 
 def are_equal(one: ExperimentResult, other: ExperimentResult) -> bool:
@@ -78,22 +81,17 @@ def test_a_row_says_what_happened_in_a_trial() -> None:
 
 
 def test_subjects_are_the_same_however_many_there_are() -> None:
-    agents = ["mmc-body", "ppo", "random"]
-    few = run_experiment(SHORT, agents, subjects=2, jobs=1)
-    many = run_experiment(SHORT, agents, subjects=3, jobs=1)
+    agents = {name: name for name in ("mmc-body", "ppo", "random")}
+    agents |= {"differ": "mmc-body", "noisy": "mmc-body", "own": Differs}
+    differing = {"rate_spread": 0.3, "retention_spread": 0.01}
+    learners = {"differ": differing, "noisy": {"planning_noise": 4.0, "noise_spread": 0.3}}
+    few, many = (run_experiment(SHORT, agents, one, learners=learners, jobs=1) for one in (2, 3))
     chosen = (many.trials["subject"] < 2).to_numpy()
     assert np.array_equal(few.hands, many.hands[chosen])
-    drawn = many.hands[(many.trials["agent"] == "random").to_numpy()]
-    for hands in (many.hands, drawn):
+    pd.testing.assert_frame_equal(few.trials, many.trials[chosen].reset_index(drop=True))
+    for name in agents:
+        hands = many.hands[(many.trials["agent"] == name).to_numpy()]
         assert not np.array_equal(hands[6:12], hands[12:18])
-
-
-def test_what_an_agent_keeps_is_handed_to_its_next_trial() -> None:
-    result = run_experiment(SHORT, {"counter": Counter}, subjects=1, jobs=1)
-    ways = np.linalg.norm(np.diff(result.hands, axis=1), axis=-1)[:, 10]
-    assert ways[0] < 1e-6
-    assert (np.argsort(ways) == range(6)).all()
-    assert ways[2] > 4 * ways[1]  # after a rest
 
 
 @pytest.mark.parametrize("is_whole", [True, False])
@@ -116,8 +114,6 @@ def test_a_memory_can_be_kept_whole() -> None:
     result = run_experiment(SHORT, agents, subjects=1, keep=["keeps"], jobs=1)
     assert np.array_equal(result.hands[0], result.hands[6])
     assert not np.array_equal(result.hands[1], result.hands[7])
-    with pytest.raises(UserError, match="keep 'ppo'"):
-        run_experiment(SHORT, ["mmc"], keep=["ppo"])
 
 
 def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkeypatch) -> None:
@@ -240,25 +236,26 @@ def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Pat
         given = {"rate": rate, "retention": retention, "out": tmp_path}
         run_experiment(SHORT, ["mmc-body"], subjects, seed, jobs=1, **given)
     assert len(list(tmp_path.glob("trials/*.parquet"))) == 1
-    with pytest.raises(UserError, match="rate must be"):
-        run_experiment(SHORT, ["mmc-body"], rate=True)
 
 
 @pytest.mark.parametrize(
-    ("names", "gradual", "env_kwargs", "message"),
+    ("wrong", "message"),
     [
-        ("delay-40", True, {}, "'b' of .* would delay nothing"),
-        ((), False, {"perturbations": ["rotation-90"]}, "perturbations must be left out"),
-        ((), False, {"max_episode_steps": 9}, "max_episode_steps must be left out"),
+        ({"experiment": GRADUAL}, "'b' of .* would delay nothing"),
+        ({"env_kwargs": {"perturbations": ["rotation-90"]}}, "perturbations must be left out"),
+        ({"env_kwargs": {"max_episode_steps": 9}}, "max_episode_steps must be left out"),
+        ({"keep": ["ppo"]}, "keep 'ppo'"),
+        ({"rate": True}, "rate must be"),
+        ({"learners": {"fast": {}}}, "fast"),
+        ({"learners": {"mmc-body": {"speed": 1}}}, "speed"),
+        ({"learners": {"mmc-body": 3}}, "mapping"),
+        ({"learners": {"mmc-body": {"rate_spread": -1}}}, "rate_spread"),
     ],
 )
-def test_what_cannot_be_played_is_refused_before_anything_is(
-    names, gradual, env_kwargs, message, monkeypatch
-) -> None:
+def test_what_cannot_be_played_is_refused_before_anything_is(wrong, message, monkeypatch) -> None:
     monkeypatch.setattr(trials, "run_cell", lambda cell: pytest.fail("played"))
-    experiment = Experiment("x", (Block("a", 2), Block("b", 7, names, gradual=gradual)))
     with pytest.raises(UserError, match=message):
-        run_experiment(experiment, ["ik-dls"], 1, jobs=1, env_kwargs=env_kwargs)
+        run_experiment(**{"experiment": SHORT, "agents": ["mmc-body"], "jobs": 1, **wrong})
 
 
 def test_an_experiment_without_any_measure_is_printed_and_reported(tmp_path: Path) -> None:
@@ -274,32 +271,19 @@ def test_an_experiment_without_any_measure_is_printed_and_reported(tmp_path: Pat
 
 def test_agents_of_one_run_may_learn_differently_and_subjects_too(tmp_path: Path) -> None:
     agents = {"slow": "mmc-body", "alike": "mmc-body", "differ": "mmc-body"}
-    learners = {"slow": {"rate": 0.05}, "differ": {"rate_spread": 0.3, "retention_spread": 0.01}}
-    how = {"rate": 0.3, "learners": learners, "jobs": 1}
-    result = run_experiment(SHORT, agents, 3, out=tmp_path, **how)
+    how = {"slow": {"rate": 0.05}, "differ": {"rate_spread": 0.3, "retention_spread": 0.01}}
+    result = run_experiment(SHORT, agents, 3, out=tmp_path, rate=0.3, learners=how, jobs=1)
     rates = {name: [*of["rate"].unique()] for name, of in result.trials.groupby("agent")}
     assert rates["slow"] == ["0.05"] and rates["alike"] == ["0.3"] and len(rates["differ"]) == 3
-    fewer = run_experiment(SHORT, agents, 2, **how).trials
-    same = result.trials[result.trials["subject"] < 2].reset_index(drop=True)
-    pd.testing.assert_frame_equal(fewer, same)  # a subject does not depend on how many there are
     again = read_experiments(tmp_path)[0].settings["differ"]
     assert again.startswith("rate 0.") and " to 0." in again
-    for wrong, named in (
-        ({"fast": {}}, "fast"),
-        ({"slow": {"speed": 1}}, "speed"),
-        ({"slow": 3}, "mapping"),
-        ({"slow": {"rate_spread": -1}}, "rate_spread"),
-    ):
-        with pytest.raises(UserError, match=named):
-            run_experiment(SHORT, agents, 1, jobs=1, learners=wrong)
 
 
 class Pulled:
     """A hand that torques pull to the target, and push aside as a share of a field needs."""
 
-    knows = 0.0
-
-    def __init__(self, env):
+    def __init__(self, env, knows=0.0):
+        self.knows = knows
         self.interface, self.limit = ReachInterface.of(env), env.unwrapped.parameters.torque_limit
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
@@ -316,25 +300,26 @@ class Pulled:
         return torques, (start, seen.hand, step + 1)
 
 
-class Knowing(Pulled):
-    knows = 1.0
-
-
-def test_a_hand_that_knows_the_field_pushes_against_a_channel_with_the_ideal_force() -> None:
+def test_the_force_on_a_channel_is_the_share_of_the_field_that_was_learned() -> None:
+    channel, angles = "channel-20", (0.0, 90.0, 135.0)
     blocks = (
-        Block("before", 2, "channel-20", (0.0, 90.0)),
-        Block("learning", 2, "force-field-20", (0.0, 90.0)),
-        Block("channel", 2, "channel-20", (0.0, 90.0)),
+        Block("before", 3, channel, angles),
+        Block("learning", 3, "force-field-20", angles),
+        Block("channel", 3, channel, angles),
     )
-    agents, how = {"knows": Knowing, "naive": Pulled}, {"env_kwargs": {"control": "joint_torque"}}
+    how = {"env_kwargs": {"control": "joint_torque"}}
+    agents = {f"{knows}": partial(Pulled, knows=knows) for knows in (0.0, 0.5, 1.0)}
     result = run_experiment(Experiment("push", blocks), agents, 1, jobs=1, **how)
-    of = result.trials.set_index("phase").groupby("agent")["channel_force"]
-    assert of.get_group("knows")["channel"].to_numpy() == pytest.approx(1.0, abs=0.15)
-    assert of.get_group("naive")["channel"].to_numpy() == pytest.approx(0.0, abs=0.15)
-    assert result.trials.loc[result.trials["phase"] == "learning", "channel_force"].isna().all()
-    learning = learning_of(result.movements_of("naive"))
-    assert learning.adaptation[0, -2:] == pytest.approx(0.0, abs=1e-6)  # less that before
-    assert learning.clamps[-2:].tolist() == [0.0, 0.0] and (learning.errors[0, -2:] == 0).all()
+    trials, is_free = result.trials, result.trials["phase"] == "learning"
+    assert trials["channel_force"].isna().equals(is_free)
+    learned = trials["agent"].astype(float)[~is_free].to_numpy()
+    assert trials["channel_force"][~is_free].to_numpy() == pytest.approx(learned, abs=0.15)
+    ways = (result.hands - result.hands[:, :1])[~is_free] @ (1, 1j)
+    turn = np.exp(-1j * np.radians(trials["target_angle"][~is_free].to_numpy()))
+    assert np.abs((ways * turn[:, None]).imag).max() < 0.01  # the walls hold the hand
+    learning = learning_of(result.movements_of("0.0"))
+    assert learning.adaptation[0, -3:] == pytest.approx(0.0, abs=1e-6)  # less that before
+    assert learning.clamps[-3:].tolist() == [0.0] * 3 and (learning.errors[0, -3:] == 0).all()
 
 
 def test_agents_reach_for_an_instructed_aim_and_what_remains_is_implicit() -> None:
@@ -351,17 +336,6 @@ def test_agents_reach_for_an_instructed_aim_and_what_remains_is_implicit() -> No
     assert 0 < implicit[3] < implicit[4] < 30 and implicit[5] > 10
     with pytest.raises(UserError, match="aim of 'a' must be 0 with a clamp, jump or channel"):
         Block("a", 8, "clamp-15", aim=10)
-
-
-class Known(TrialLearner):
-    def aim(self, target, state):
-        return target - state
-
-    def learn(self, error, state):
-        return 0.9 * state + 0.3 * error
-
-    def rest(self, seconds, state):
-        return 0.5 * state
 
 
 class Noisy(Known):
@@ -393,14 +367,7 @@ def test_your_own_learner_moves_as_it_learns(tmp_path: Path) -> None:
     assert not run_experiment(experiment, {"noisy": Noisy}, 1, jobs=1).trials.empty
 
 
-class Differs(Known):
-    motor_noise, noise_spread = 0.1, 0.3
-
-    def first(self, random):
-        return random.normal(0.0, 20.0)
-
-
-def test_subjects_may_be_noisy_and_differ_and_are_the_same_however_many_there_are() -> None:
+def test_subjects_may_be_noisy_and_differ() -> None:
     agents = {"plain": "mmc-body", "plans": "mmc-body", "moves": "mmc-body", "own": Differs}
     noise = {"plans": {"planning_noise": 4.0, "noise_spread": 0.3}, "moves": {"motor_noise": 0.1}}
     experiment = Experiment("noisy", (Block("baseline", 12, targets=(90.0,)),))
@@ -411,8 +378,6 @@ def test_subjects_may_be_noisy_and_differ_and_are_the_same_however_many_there_ar
     assert 1.0 < scatter["moves"] < 5.0
     assert rows["planning_noise"].nunique()["plans"] == 3
     assert "planning_noise" in result.settings["plans"] and "noise" not in result.settings["plain"]
-    fewer = run_experiment(experiment, agents, 2, learners=noise, jobs=1)
-    assert np.array_equal(fewer.hands, result.hands[(result.trials["subject"] < 2).to_numpy()])
 
 
 def test_a_learner_is_told_no_error_where_the_cursor_is_at_rest() -> None:
