@@ -7,7 +7,6 @@ A few are tried every day, all of them by `make test-all`.
 import copy
 import inspect
 import pickle
-from collections import Counter
 from dataclasses import fields
 from functools import partial
 from itertools import combinations, cycle, pairwise, product
@@ -23,26 +22,10 @@ from mmc_gym._errors import UserError
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.body import ArmParameters
-from mmc_gym.envs import names, scenarios
-from mmc_gym.envs.names import FAMILIES, TASKS, TaskEntry, environment_id, register_all
-from mmc_gym.envs.perturbations import (
-    CursorGain,
-    CursorMirror,
-    ForceField,
-    Gravity,
-    JointNoise,
-    LockedJoint,
-    NoFeedback,
-    Obstacles,
-    SegmentLength,
-    SensoryDelay,
-    Timed,
-    VisionNoise,
-    VisuomotorRotation,
-)
+from mmc_gym.envs import perturbations as kinds
+from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.scenarios import Scenario, parse_environment, parse_scenario
-from mmc_gym.envs.tasks import PointToPoint
+from mmc_gym.envs.scenarios import parse_environment, parse_scenario
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS
 
@@ -67,22 +50,22 @@ DISC = (1.5, 1.0, 0.25)
 @pytest.mark.parametrize(
     ("name", "full_name", "perturbation"),
     [
-        ("delay-150", "delay-150", SensoryDelay(0.15)),
-        ("longer-35-known", "longer-35-known", SegmentLength(1.35, known=True)),
-        ("shorter", "shorter-20", SegmentLength(0.8)),
-        ("force-field--5.50", "force-field--5.5", ForceField(-5.5)),
-        ("gravity", "gravity-60", Gravity(60.0)),
-        ("locked", "locked-2", LockedJoint(1)),
-        ("locks-3-known", "locks-3-known", LockedJoint(2, time=0.2, known=True)),
-        ("joint-noise-speed-0.03", "joint-noise-speed-0.03", JointNoise(0.0, speed_std=0.03)),
-        ("vision-noise-0.00001", "vision-noise-0.00001", VisionNoise(0.00001)),
-        ("vision-noise-distance", "vision-noise-distance-0.05", VisionNoise(0.0, 0.05)),
-        ("obstacles-1", "obstacles-1", Obstacles((DISC,))),
-        ("rotation-1000000", "rotation-1000000", VisuomotorRotation(1e6)),
-        ("mirror", "mirror-90", CursorMirror(90.0)),
-        ("no-feedback", "no-feedback", NoFeedback()),
-        ("gain-over-2.50", "gain-1.4-over-2.5", Timed(CursorGain(1.4), over=2.5)),
-        ("delay-40-at-1-over-2", "delay-40-at-1-over-2", Timed(SensoryDelay(0.04), 1.0, 2.0)),
+        ("delay-150", "delay-150", kinds.SensoryDelay(0.15)),
+        ("longer-35-known", "longer-35-known", kinds.SegmentLength(1.35, known=True)),
+        ("shorter", "shorter-20", kinds.SegmentLength(0.8)),
+        ("force-field--5.50", "force-field--5.5", kinds.ForceField(-5.5)),
+        ("gravity", "gravity-60", kinds.Gravity(60.0)),
+        ("locked", "locked-2", kinds.LockedJoint(1)),
+        ("locks-3-known", "locks-3-known", kinds.LockedJoint(2, time=0.2, known=True)),
+        ("joint-noise-speed-0.03", "joint-noise-speed-0.03", kinds.JointNoise(0.0, speed_std=0.03)),
+        ("vision-noise-0.00001", "vision-noise-0.00001", kinds.VisionNoise(0.00001)),
+        ("vision-noise-distance", "vision-noise-distance-0.05", kinds.VisionNoise(0.0, 0.05)),
+        ("obstacles-1", "obstacles-1", kinds.Obstacles((DISC,))),
+        ("rotation-1000000", "rotation-1000000", kinds.VisuomotorRotation(1e6)),
+        ("mirror", "mirror-90", kinds.CursorMirror(90.0)),
+        ("no-feedback", "no-feedback", kinds.NoFeedback()),
+        ("gain-over-2.50", "gain-1.4-over-2.5", kinds.Timed(kinds.CursorGain(1.4), over=2.5)),
+        ("gain-2-at-1-over-2", "gain-2-at-1-over-2", kinds.Timed(kinds.CursorGain(2.0), 1.0, 2.0)),
     ],
 )
 def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturbation):
@@ -104,25 +87,23 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
         ("rotation-30+centre-out", "'centre-out' is a task, which comes first"),
         ("locked-0", "locked-0 has no such strength"),
         ("obstacles-5", "number of obstacles"),
-        ("delay--40", "delay--40 has no such strength"),
         (f"locked-1{400 * '0'}", "locked-inf has no such strength"),
-        (
-            "locks-at-1",
-            "locks-2 cannot begin or grow like this: .* one that can begin within an ep",
-        ),
-        (
-            "mirror-over-1",
-            "mirror-90 cannot begin .* over must be 0, as a CursorMirror cannot grow",
-        ),
-        ("delay-at-2000", "delay-100 cannot begin .* at must be from 0 to 1000"),
+        ("locks-at-1", "locks-2 cannot begin or grow like this: .* begin within an ep"),
+        ("mirror-over-1", "mirror-90 cannot begin .* over must be 0"),
+        ("delay-at-2000", "delay-100 cannot begin .* at must be"),
         ("no-feedback-3", "no-feedback takes no strength, got 3"),
-        ("shorter-100", "shorter-100 has no such strength"),
         (None, "scenario None is not accepted"),
     ],
 )
 def test_a_wrong_name_is_refused(name, hint):
     with pytest.raises(UserError, match=hint):
         parse_scenario(name)
+
+
+@pytest.mark.parametrize("env", [gym.make("MMCReach-v0"), None])
+def test_an_environment_is_no_name_of_one(env):
+    with pytest.raises(UserError, match="env must be an id"):
+        parse_environment(env).make()
 
 
 @pytest.mark.parametrize(
@@ -145,36 +126,10 @@ def test_what_is_suggested_is_accepted(name, guess):
 
 def test_a_strength_is_exact():
     change = parse_scenario("longer-20-known").changes[0].with_strength(1 / 3)
-    assert change.perturbation == SegmentLength(1 + 1 / 300, known=True)
+    assert change.perturbation == kinds.SegmentLength(1 + 1 / 300, known=True)
     assert change == parse_scenario(change.name).changes[0]
     env = mmc_gym.make("random", perturbations=[change])
     assert env.spec.kwargs["perturbations"] == [change.name]  # a file can hold it
-
-
-def test_compare_parses_once_and_makes_an_environment_an_agent_and_one_vector(monkeypatch):
-    calls = Counter()
-
-    def count(owner, name):
-        plain = getattr(owner, name)
-
-        def counted(*args, **arguments):
-            calls[owner.__name__.rpartition(".")[2], name] += 1
-            return plain(*args, **arguments)
-
-        monkeypatch.setattr(owner, name, counted)
-
-    count(scenarios, "parse_parts")
-    count(names, "parse_change")
-    count(MMCReachEnv, "_make")
-    count(MMCReachVectorEnv, "_make")
-    found = mmc_gym.compare(["mmc", "ik-dls", "minimum-jerk"], "rotation-30", episodes=3)
-    assert found.agents == ["mmc", "ik-dls", "minimum-jerk"]
-    assert calls == {
-        ("scenarios", "parse_parts"): 1,
-        ("names", "parse_change"): 1,
-        ("MMCReachEnv", "_make"): 3,
-        ("MMCReachVectorEnv", "_make"): 1,
-    }
 
 
 def test_help_lists_every_argument_with_its_default():
@@ -187,12 +142,6 @@ def test_help_lists_every_argument_with_its_default():
     assert inspect.signature(MMCReachGoalEnv).parameters["reward_type"].default == "sparse"
     with pytest.raises(TypeError, match="keyword argument 'engin'; did you mean 'engine'"):
         MMCReachEnv(engin="analytic")
-
-
-def test_an_environment_is_no_name_of_one():
-    for env in (gym.make("MMCReach-v0"), None):
-        with pytest.raises(UserError, match="env must be an id, the name of a scenario, or a func"):
-            parse_environment(env).make()
 
 
 @pytest.mark.parametrize(
@@ -210,7 +159,7 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint, tmp_
             make(name)
         make(mended)
     with pytest.raises(UserError, match=r"SensoryDelay would delay nothing: .* such as delay-20"):
-        mmc_gym.make("random", perturbations=[SensoryDelay(0.005)])
+        mmc_gym.make("random", perturbations=[kinds.SensoryDelay(0.005)])
 
 
 @pytest.mark.parametrize(
@@ -227,9 +176,8 @@ def test_a_task_and_perturbations_together_have_one_name(name, full_name, task, 
     assert (one.name, one.family, one.strength) == (full_name, family, strength)
     assert one.task is TASKS[task]
     assert one == parse_scenario(full_name)
-    assert one.description == "; ".join(
-        parse_scenario(part).description for part in one.name.split("+")
-    )
+    parts = map(parse_scenario, one.name.split("+"))
+    assert one.description == "; ".join(part.description for part in parts)
     assert one.settings["baseline"] == (task if family else None)
     setup, vector = one.make().unwrapped.setup, one.make_vec(2).setup
     assert setup.task is TASKS[task].task
@@ -243,7 +191,7 @@ def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
     assert one.spec.id == "MMCReachPursuit-v0"
     assert (one.spec.max_episode_steps, one.unwrapped.render_mode) == (9, "rgb_array")
     assert mmc_gym.make(name).spec.max_episode_steps == 500
-    assert one.unwrapped.setup.perturbations == (VisuomotorRotation(45.0),)
+    assert one.unwrapped.setup.perturbations == (kinds.VisuomotorRotation(45.0),)
     assert one.unwrapped.setup.caption == "pursuit, rotation-45"
     native, sync = (mmc_gym.make_vec(name, 3, vectorization_mode=m) for m in (None, "sync"))
     assert isinstance(native, MMCReachVectorEnv)
@@ -272,38 +220,20 @@ def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
 
 
-def test_a_task_is_added_by_one_entry(monkeypatch, forget_what_is_registered):
-    entry = TaskEntry("near", PointToPoint(((0.0, 0.5), (0.1, 0.5)), ((0, 1),)), "a short way")
-    monkeypatch.setitem(TASKS, "near", entry)
-    register_all()
-    for env in (
-        gym.make("MMCReachNear-v0"),
-        mmc_gym.make("near+delay-40"),
-        MMCReachEnv(task="near"),
-    ):
-        assert env.unwrapped.setup.task is entry.task
-    assert parse_scenario("MMCReachNear-v0") == parse_scenario("near") == Scenario(entry)
-    assert mmc_gym.list_tasks().rows[-1] == ("near", "a short way", "100 steps, 1 trials")
-    assert "near" in mmc_gym.list_scenarios()
-
-
 @pytest.mark.parametrize("name", TASKS)
 def test_the_id_of_a_task_makes_it_and_has_its_time(name):
     env, task = gym.make(environment_id(name)), TASKS[name].task
     assert env.unwrapped.setup.task is task
     assert env.unwrapped.setup.perturbations == ()
-    assert gym.spec(environment_id(name)).max_episode_steps == task.episode_steps
     assert env.spec.max_episode_steps == task.episode_steps
     assert gym.make_vec(environment_id(name), 2).max_episode_steps == task.episode_steps
     assert MMCReachVectorEnv(2, task=name).max_episode_steps == task.episode_steps
 
 
-MAKERS = gym.make, gym.make_vec, partial(gym.make_vec, vectorization_mode="sync")
-
-
-@pytest.mark.parametrize("make", MAKERS)
+@pytest.mark.parametrize(
+    "make", [gym.make, gym.make_vec, partial(gym.make_vec, vectorization_mode="sync")]
+)
 def test_a_task_of_another_length_than_the_ids_is_refused_by_name(make):
-
     for name, env_id in (("pursuit", "MMCReach-v0"), ("random", "MMCReachPursuit-v0")):
         with pytest.raises(UserError, match=f"got '{name}'.*make '{environment_id(name)}'"):
             make(env_id, task=name)
@@ -354,24 +284,14 @@ def test_stable_baselines3_approves(env, capsys):
 
 
 @every_case
-def test_same_seed_and_actions_give_the_same_episodes(env):
-    assert env.spec is not None
-    other = gym.make(env.spec)
-    actions = harsh_actions(env, 250)
+def test_same_seed_and_actions_give_the_same_episodes_in_copies_too(env):
+    other, actions = gym.make(env.spec), harsh_actions(env, 250)
     first = rollout(env, actions, seed=7)
     assert same(first, rollout(other, actions, seed=7))
-    assert same(first, rollout(env, actions, seed=7))  # after episodes of its own, too
     assert not same(first, rollout(other, actions, seed=8))
-
-
-@every_case
-def test_a_copy_of_a_running_environment_has_the_same_future(env):
-    actions = harsh_actions(env, 250)
-    rollout(env, actions[:30], seed=3)
-    copies = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
-    future = rollout(env, actions[30:])
-    for other in copies:
-        assert same(future, rollout(other, actions[30:]))
+    begun = rollout(env, actions[:30], seed=7)  # after episodes of its own, too
+    for one in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env), env):
+        assert same(first, [*begun, *rollout(one, actions[30:])])
 
 
 @every_case

@@ -9,13 +9,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import import_modules
-from mmc_gym.measures import (
-    MEASURES,
-    catalogue,
-    leave_out_failures,
-    measure,
-    measure_all,
-)
+from mmc_gym.measures import MEASURES, catalogue, leave_out_failures, measure, measure_all
 from mmc_gym.network.time_base import minimum_jerk
 
 pytestmark = pytest.mark.usefixtures("forget_what_is_registered")
@@ -42,21 +36,18 @@ def test_a_measure_of_your_own_is_one_decorated_function(make_episode):
 
 
 @pytest.mark.parametrize(
-    ("name", "decorator", "message"),
+    ("name", "facts", "message"),
     [
-        ("success", measure(label="x"), "got 'success': mmc_gym.measures.reaching.success has it"),
-        ("target_x", measure(label="x"), "got 'target_x': a column of the data has it"),
-        ("new", measure(label="x", best="highest"), r"best of 'new' must be one of \(.*got 'high"),
-        ("new", measure(label="x", statistic="mode"), r"statistic of 'new' must .* got 'mode'"),
+        ("success", {}, "got 'success': mmc_gym.measures.reaching.success has it"),
+        ("target_x", {}, "got 'target_x': a column of the data has it"),
+        ("new", {"best": "highest"}, r"best of 'new' must be one of \(.*got 'high"),
+        ("new", {"statistic": "mode"}, r"statistic of 'new' must .* got 'mode'"),
     ],
 )
-def test_names_that_are_taken_and_unknown_facts_are_refused(name, decorator, message):
-    def function(episode):
-        return 0.0
-
-    function.__name__ = name
+def test_names_that_are_taken_and_unknown_facts_are_refused(name, facts, message):
+    function = type(name, (), {})  # anything that has a name
     with pytest.raises(ValueError, match=message):
-        decorator(function)
+        measure(label="x", **facts)(function)
 
 
 @pytest.mark.parametrize("value", [[0.1, 0.2], "far", 1j])
@@ -112,15 +103,9 @@ def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypat
 def test_a_value_is_written_with_the_unit_and_decimals_of_its_measure(name, value, number, unit):
     one = MEASURES[name]
     assert (one.number(value), one.quantity(value)) == (number, number + unit)
-
-
-def test_shown_measures_are_few_with_short_labels_and_intervals_are_written_alike():
-    shown = catalogue.shown_measures()
-    assert 8 <= len(shown) <= 14 and max(len(one.label) for one in shown) <= 20
-    success = MEASURES["success"]
-    assert success.interval(0.5, 0.975) == "[50.0, 97.5]"
-    assert success.interval(math.nan, math.nan) == ""
-    assert (success.shown_unit, MEASURES["sparc"].full_label) == ("%", "smoothness (SPARC)")
+    interval = "" if math.isnan(value) else f"[{number}, {number}]"
+    assert one.interval(value, value) == interval
+    assert all(len(one.label) <= 20 for one in catalogue.shown_measures())
 
 
 def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(make_episode):
@@ -175,18 +160,19 @@ def test_rest_after_a_movement_does_not_change_its_shape(make_episode):
 
 
 def test_what_an_episode_does_not_have_is_not_measured(make_episode):
-    def missing(hands, **arrays):
-        found = measure_all(make_episode(hands, [1, 1], **arrays))
+    def missing(hands, target, **arrays):
+        found = measure_all(make_episode(hands, target, **arrays))
         return {name for name, value in found.items() if math.isnan(value)}
 
     tremor, still = 0.01 * np.random.default_rng(0).normal(size=(101, 2)), np.zeros((6, 2))
-    assert missing(tremor) >= {"sparc", "time_to_peak", "minimum_jerk_correlation"}
-    untold = np.full((5, 3), np.nan)
-    for arrays in (
-        {"joint_angles": np.zeros((6, 0))},
-        {"servo_impulses": untold, "servo_work": untold},
-    ):
-        assert missing(still, **arrays) >= {"joint_effort", "joint_work"}
+    assert missing(tremor, [1, 1]) >= {"sparc", "time_to_peak", "minimum_jerk_correlation"}
+    untold, effort = np.full((5, 3), np.nan), {"joint_effort", "joint_work"}
+    assert missing(still, [1, 1], joint_angles=np.zeros((6, 0))) >= effort
+    assert missing(still, [1, 1], servo_impulses=untold, servo_work=untold) >= effort
+    shares = {"success", "success_1_percent"}  # none of a hand that is not seen
+    unseen = make_episode(np.full((11, 2), math.nan), np.zeros((11, 2)))
+    assert {measure_all(unseen)[name] for name in shares} == {0.0}
+    assert missing(unseen.hands, [0, 0]) == {*MEASURES} - shares - effort - {"episode_return"}
 
 
 def test_a_hand_that_never_arrives_has_no_measure_of_how_it_moves(make_episode):

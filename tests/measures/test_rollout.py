@@ -23,25 +23,13 @@ def says(predicted):
     return SimpleNamespace(predict=lambda *_, **__: predicted)
 
 
-class Counter:
-    """Keeps the states it is given, and returns the number of its call as state."""
-
-    def __init__(self):
-        self.calls = []
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        self.calls.append((state, bool(episode_start[0]), deterministic))
-        return np.zeros(3, np.float32), len(self.calls)
-
-
 def test_seeds_are_all_different_and_more_episodes_only_add_to_them():
     seeds = episode_seeds(7, 500)
     assert len({*seeds, *episode_seeds(8, 500)}) == 1000
     assert episode_seeds(7, 20) == seeds[:20]
-    with pytest.raises(ValueError, match="episodes"):
-        episode_seeds(0, 0)
-    with pytest.raises(ValueError, match="seed"):
-        episode_seeds(-1, 5)
+    for seed, episodes, wrong in ((0, 0, "episodes"), (-1, 5, "seed")):
+        with pytest.raises(ValueError, match=wrong):
+            episode_seeds(seed, episodes)
 
 
 def test_an_episode_records_what_the_environment_reports_and_changes_nothing(oracle):
@@ -86,10 +74,16 @@ def test_an_episode_depends_on_its_own_seed_only_even_if_actions_are_sampled(env
 
 
 def test_the_state_goes_round_within_an_episode_and_starts_anew_with_the_next(env):
-    agent, shown = Counter(), []
+    calls, shown = [], []
+
+    def predict(observation, state=None, episode_start=None, deterministic=False):
+        calls.append((state, bool(episode_start[0]), deterministic))
+        return np.zeros(3, np.float32), len(calls)
+
+    agent = SimpleNamespace(predict=predict)
     episodes = run_episodes(agent, TimeLimit(env.unwrapped, 3), [1, 2], shown.append)
     first = [(None, True, True), (1, False, True), (2, False, True)]
-    assert agent.calls == [*first, (None, True, True), (4, False, True), (5, False, True)]
+    assert calls == [*first, (None, True, True), (4, False, True), (5, False, True)]
     assert tuple(shown) == episodes
 
 
