@@ -96,21 +96,17 @@ def test_a_vector_of_drawn_arms_is_single_arms(env_id, perturbations, mode, engi
 
 
 def test_strengths_are_drawn_as_their_distributions():
-    weights = (1, 2, 3)
     drawn = {
         "rotation": uniform(-60, 120),
         "hand-mass": uniform(0, 3),
         "JointNoise.std": stats.beta(2, 5, scale=0.1),
         "VisuomotorRotation.degrees": norm(5, 20),
     }
-    whole = {"locks": np.ones(3), "choice": np.array(weights)}
-    objects = [
-        JointNoise(drawn["JointNoise.std"]),
-        VisuomotorRotation(drawn["VisuomotorRotation.degrees"]),
-        OneOf("delay-0..160", "delay-40", None, weights=weights),
-    ]
-    envs = mmc_gym.make_vec("rotation--60..60+hand-mass-0..3+locks-1..3", 1)
-    given = [*envs.unwrapped.perturbations, *objects]
+    whole = {"locks": np.ones(3), "choice": np.array([1, 2, 3])}
+    given = ["rotation--60..60", "hand-mass-0..3", "locks-1..3"]
+    given += [JointNoise(drawn["JointNoise.std"])]
+    given += [VisuomotorRotation(drawn["VisuomotorRotation.degrees"])]
+    given += [OneOf("delay-0..160", "delay-40", None, weights=(1, 2, 3))]
     envs = gym.make_vec("MMCReach-v0", num_envs=1500, engine="analytic", perturbations=given)
     context = envs.reset(seed=0)[1]["context"]
     for name, distribution in drawn.items():
@@ -182,29 +178,37 @@ def test_the_context_is_observed_within_one():
     assert observation in goal.observation_space
 
 
+SCALE = [
+    OneOf("locks-1..3", HandMass(uniform(0, 3)), None),
+    *("delay-0..160", "rotation--60..60", "longer--10..30"),
+]
+ONE = [{"one_of": [None, "rotation--60..-20", "rotation-20..60", "longer-0..20", "shorter-0..50"]}]
+
+
 @pytest.mark.parametrize(
-    ("name", "shown"),  # chosen locks, chosen mass; joint, mass, delay, rotation, longer
+    ("scale", "name", "shown"),
     [
-        ("random", [0, 0, 0, 0, -1, 0, -0.5]),
-        ("rotation-90", [0, 0, 0, 0, -1, 1.5, -0.5]),
-        ("shorter-10+locks-2-known", [1, 0, 0, 0, -1, 0, -1]),
-        ("delay-160+hand-mass-6+force-field-30", [0, 1, 0, 3, 1, 0, -0.5]),
-        ("rotation-15..15.1+locks-3", [1, 0, 1, 0, -1, 0.25, -0.5]),
+        # Which is chosen: locks or a mass; joint, mass, delay, rotation, longer.
+        (SCALE, "random", [0, 0, 0, 0, -1, 0, -0.5]),
+        (SCALE, "rotation-90", [0, 0, 0, 0, -1, 1.5, -0.5]),
+        (SCALE, "shorter-10+locks-2-known", [1, 0, 0, 0, -1, 0, -1]),
+        (SCALE, "delay-160+hand-mass-6+force-field-30", [0, 1, 0, 3, 1, 0, -0.5]),
+        (SCALE, "rotation-15..15.1+locks-3", [1, 0, 1, 0, -1, 0.25, -0.5]),
+        # Which of four is chosen, and its strength: the range that it is in or nearest to.
+        (ONE, "rotation--40", [1, 0, 0, 0, 0, 0, 0, 0]),
+        (ONE, "rotation-40", [0, 1, 0, 0, 0, 0, 0, 0]),
+        (ONE, "rotation-10", [0, 1, 0, 0, 0, -1.5, 0, 0]),
+        (ONE, "longer-20", [0, 0, 1, 0, 0, 0, 1, 0]),
+        (ONE, "shorter-25", [0, 0, 0, 1, 0, 0, 0, 0]),
     ],
 )
-def test_a_context_is_observed_on_a_given_scale(name, shown):
-    mixture = OneOf("locks-1..3", HandMass(uniform(0, 3)), None)
-    scale = [mixture, "delay-0..160", "rotation--60..60", "longer--10..30"]
-    single, many = (
-        mmc_gym.make(name, observe_context=scale),
-        mmc_gym.make_vec(name, 2, observe_context=scale),
-    )
+def test_a_context_is_observed_on_a_given_scale(scale, name, shown):
+    single = mmc_gym.make(name, observe_context=scale)
     observation, _ = single.reset(seed=0)
     assert observation in single.observation_space
+    many = mmc_gym.make_vec(name, 2, observe_context=scale)
     for observed in (observation, *many.reset(seed=0)[0]):
         np.testing.assert_allclose(observed[15:], shown, atol=2e-3)
-    with pytest.raises(UserError, match="observe_context must be True, or perturbations from"):
-        mmc_gym.make(name, observe_context="rotation-30")
 
 
 def test_a_drawn_environment_is_copied():
@@ -220,10 +224,8 @@ def test_a_drawn_environment_is_copied():
 
 
 def test_distributions_may_change_between_episodes():
-    names = ["rotation--60..60", "delay-0..40"]
-    env = mmc_gym.make_vec("random", 2, perturbations=names)
-    sync = gym.make_vec("MMCReach-v0", num_envs=2, vectorization_mode="sync", perturbations=names)
-    wider = ["rotation-90..120", "delay-0..160"]
+    wider, names = ["rotation-90..120", "delay-0..160"], "rotation--60..60+delay-0..40"
+    env, sync = (mmc_gym.make_vec(names, 2, vectorization_mode=one) for one in (None, "sync"))
     for each in (env, sync):
         each.reset(seed=0)
     sync.set_attr("perturbations", [wider, wider])
@@ -260,6 +262,11 @@ def test_impossible_draws_are_refused_in_a_line(perturbations, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_scale_is_of_ranges():
+    with pytest.raises(UserError, match="observe_context must be True, or perturbations from"):
+        mmc_gym.make("random", observe_context="rotation-30")
+
+
 def test_a_range_is_a_name():
     change = parse_change("rotation--60..60-at-1")
     assert (change.name, change.is_drawn, change.strength) == ("rotation--60..60-at-1", True, None)
@@ -269,24 +276,3 @@ def test_a_range_is_a_name():
     assert scenario.settings != parse_scenario("longer--30..30+joint-noise-0..0.05").settings
     plain = as_json({"one": VisuomotorRotation(uniform(-60, 120))})
     assert plain["one"]["degrees"] == {"name": "uniform", "args": [-60, 120]}
-
-
-@pytest.mark.parametrize(
-    ("name", "option", "strength"),
-    [
-        ("rotation--40", 0, 0.0),
-        ("rotation-40", 1, 0.0),
-        ("rotation-10", 1, -1.5),
-        ("longer-20", 2, 1.0),
-        ("shorter-25", 3, 0.0),
-    ],
-)
-def test_the_context_of_a_strength_is_that_of_the_range_it_is_in_or_nearest_to(
-    name, option, strength
-):
-    options = ["rotation--60..-20", "rotation-20..60", "longer-0..20", "shorter-0..50"]
-    env = mmc_gym.make(name, observe_context=[{"one_of": [None, *options]}])
-    shown = env.reset(seed=0)[0][15:]
-    expected = np.zeros(8)
-    expected[[option, 4 + option]] = 1.0, strength
-    np.testing.assert_allclose(shown, expected, atol=1e-6)

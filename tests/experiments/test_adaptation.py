@@ -97,22 +97,19 @@ def test_the_table_is_printed_and_the_figure_has_the_timeline_and_a_curve_per_ag
     assert np.nanmax(np.concatenate(curves)) == 30.0
 
 
-def test_a_single_subject_has_no_interval_and_no_band():
-    alone = played(15.0, subjects=1, family="clamp", known_as="clamp")
-    table = learning_table(alone, 20)
-    assert table.loc[table["agent"] != PEOPLE, ["low", "high"]].isna().all(axis=None)
-    assert not learning_figure(alone, table, resamples=20).axes[1].collections
-
-
-def test_people_stand_beside_agents_in_an_experiment_that_they_did():
-    known = played(15.0, family="clamp", known_as="clamp")
-    table = learning_table(known, 20)
+def test_people_are_shown_in_an_experiment_that_they_did_and_a_single_subject_has_no_interval():
+    known, alone, own = (
+        played(15.0, subjects, family="clamp", known_as=name)
+        for subjects, name in ((6, "clamp"), (1, "clamp"), (1, ""))
+    )
+    table, of_alone = learning_table(known, 20), learning_table(alone, 20)
     row = table[table["agent"] == PEOPLE].set_index("measure").loc["clamp_asymptote"]
     assert (row["low"], row["high"], row["source"]) == (18.0, 18.0, "Tsay et al. 2020")
     figure = learning_figure(known, table, resamples=20)
     assert figure.axes[2].get_xlabel() == "people: 18\nTsay et al. 2020"
-    own = played(15.0, family="clamp")
     assert PEOPLE not in set(learning_table(own, 20)["agent"])
+    assert of_alone.loc[of_alone["agent"] != PEOPLE, ["low", "high"]].isna().all(axis=None)
+    assert not learning_figure(alone, of_alone, resamples=20).axes[1].collections  # no band
 
 
 def test_means_of_resamples_begin_with_the_mean():

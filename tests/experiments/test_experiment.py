@@ -31,11 +31,6 @@ blocks:
 """
 
 
-def planned(*blocks: Block) -> list[tuple[tuple[str, ...], str]]:
-    schedule = Experiment("mine", blocks).schedule
-    return [(tuple(c.name for c in one.condition.perturbations), one.probe) for one in schedule]
-
-
 def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(YAML)
@@ -55,28 +50,24 @@ def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     assert schedule[0].strength == 0
     assert Experiment(**yaml.safe_load(str(experiment))) == experiment
     (axes,) = experiment.plot().axes
-    assert {block.name for block in experiment.blocks} <= {
-        text.get_text().split(", ")[-1] for text in axes.texts
-    }
+    shown = {text.get_text().split(", ")[-1] for text in axes.texts}
+    assert {block.name for block in experiment.blocks} <= shown
 
 
 def test_one_of_so_many_trials_is_a_probe_at_a_place_that_differs() -> None:
     block = Block("learning", 80, ("force-field-60",), probes=(Probe("catch", 8),))
-    places = [number for number, (_, probe) in enumerate(planned(block)) if probe]
-    assert [place // 8 for place in places] == list(range(10))
-    assert len({place % 8 for place in places}) > 3
-    assert all(planned(block)[place] == ((), "catch") for place in places)
+    probes = [one for one in Experiment("mine", (block,)).schedule if one.probe]
+    assert [one.trial // 8 for one in probes] == list(range(10))
+    assert len({one.trial % 8 for one in probes}) > 3
+    assert all((one.condition.perturbations, one.probe) == ((), "catch") for one in probes)
 
 
 @pytest.mark.parametrize("strength", [-30.0, 0.01, 1e6])
 def test_perturbations_of_a_gradual_block_grow_exactly_to_their_strength(strength) -> None:
     change = parse_change("rotation").with_strength(strength)
     experiment = Experiment("grows", (Block("grows", 3, change, gradual=True),))
-    assert [one.strength for one in experiment.schedule] == [
-        strength / 3,
-        strength * 2 / 3,
-        strength,
-    ]
+    strengths = [one.strength for one in experiment.schedule]
+    assert strengths == [strength / 3, strength * 2 / 3, strength]
     assert experiment.schedule[2].condition.perturbations == (change,)
     assert Experiment(**experiment.settings) == experiment
 

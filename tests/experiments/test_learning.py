@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym.experiments.adaptation import QUANTITIES, Learning, measure_learning
+from mmc_gym.experiments.adaptation import Learning, measure_learning
 from mmc_gym.experiments.fits import TWO_STATES
 from mmc_gym.experiments.learning import (
     correction_gain,
@@ -14,11 +14,8 @@ from mmc_gym.experiments.learning import (
     initial_direction,
     lateral_deviation,
 )
-from mmc_gym.measures import MEASURES
-from mmc_gym.measures.catalogue import people
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.recovery import TwoStates, simulate_learners
-from studies.laws import LAWS
 
 STEP = 0.02
 BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
@@ -60,19 +57,15 @@ def test_a_movement_that_is_known_is_described(go_step):
 
 
 @pytest.mark.parametrize("late", [3, 6, 12])
-def test_a_direction_before_feedback_is_not_changed_by_what_follows(late):
-    straight = BELL * [1.0, 0.0]
-    onset = int(np.argmax(np.diff(BELL[:, 0]) >= 0.05 * np.diff(BELL[:, 0]).max()))
-    bent = straight + np.clip(np.arange(52) - onset - late, 0, None)[:, None] * [0.0, 0.01]
-    early, later = (initial_direction(bent, [1.0, 0.0], steps=late + k) for k in (0, 1))
-    assert early == pytest.approx(0.0) and later > 1.0
-
-
-def test_a_later_correction_does_not_change_the_initial_direction():
+def test_a_direction_is_not_changed_by_what_follows_it(late):
+    """Neither before feedback nor, without a time, at the peak of speed."""
     path = BELL * [1.0, 0.0]
-    bent = path + np.where(np.arange(52) > 30, np.arange(52) - 30, 0)[:, None] * [0.0, 0.01]
-    directions = initial_direction(np.stack([path, bent]), np.array([1.0, 0.0]))
-    assert directions == pytest.approx([0.0, 0.0])
+    onset = int(np.argmax(np.diff(BELL[:, 0]) >= 0.05 * np.diff(BELL[:, 0]).max()))
+    bends = [np.clip(np.arange(52) - begin, 0, None)[:, None] for begin in (onset + late, 30)]
+    paths = path + np.stack(bends) * [0.0, 0.01]
+    early, later = (initial_direction(paths[0], [1.0, 0.0], steps=late + k) for k in (0, 1))
+    assert early == pytest.approx(0.0) and later > 1.0
+    assert initial_direction(np.stack([path, paths[1]]), [1.0, 0.0]) == pytest.approx([0.0, 0.0])
     assert np.isnan(initial_direction(np.ones((3, 51, 2)), np.zeros(2))).all()  # it never moves
 
 
@@ -149,13 +142,10 @@ def test_what_is_retained_after_a_rest_is_of_its_block_however_short(after):
     curve = learning.adaptation[0]
     expected = curve[180 : 180 + after].mean() / curve[170:180].mean()
     assert measure_learning(learning)["retention"] == pytest.approx(expected)
-
-
-def test_who_turns_with_the_perturbation_has_no_rate_of_learning():
-    learning = learning_in((np.r_[NONE, TURN], np.nan), LEARNER)
+    # Who turns with the perturbation has no rate of learning.
     wrong = replace(learning, adaptation=-learning.adaptation)
-    assert np.isfinite(measure_learning(learning)["rate"])
-    assert np.isnan(measure_learning(wrong)["rate"])
+    rates = [float(measure_learning(one)["rate"]) for one in (learning, wrong)]
+    assert np.isnan(rates).tolist() == [False, True]
 
 
 def test_measures_of_a_clamp():
@@ -166,13 +156,3 @@ def test_measures_of_a_clamp():
     assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
     assert found["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
     assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
-
-
-def test_figures_of_people_have_a_source_and_belong_to_a_measure():
-    known = {*MEASURES, *LAWS, *(one.name for one in QUANTITIES)}
-    for family in ("", "cursor-jump", "generalisation", "savings", "clamp"):
-        assert people(family)
-        for name, one in people(family).items():
-            assert name in known and one.source and one.task and one.differs
-            assert not np.isnan([one.low, one.high]).all()
-    assert people("generalisation")["width"].authors == "McDougle et al. 2017"

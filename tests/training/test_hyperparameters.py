@@ -120,15 +120,10 @@ def test_two_ways_to_write_the_same(key, one, other):
 
 
 def test_all_that_an_entry_names_is_made():
-    model = make(
-        recipe(
-            n_envs=2,
-            vec_env_wrapper=[{RESIDUAL: {"base_agent": "mmc"}}],
-            policy_kwargs="dict(activation_fn=nn.Tanh, net_arch=[8, 9])",
-            learning_rate="lin_1e-3",
-            clip_range=0.2,
-        )
-    )
+    network = "dict(activation_fn=nn.Tanh, net_arch=[8, 9])"
+    changes = {"policy_kwargs": network, "learning_rate": "lin_1e-3", "clip_range": 0.2}
+    changes["vec_env_wrapper"] = [{RESIDUAL: {"base_agent": "mmc"}}]
+    model = make(recipe(n_envs=2, **changes))
     assert unwrap_vec_wrapper(model.get_env(), Residual).base_agent == "mmc"
     layers = re.findall(r"(?<=out_features=)\d+|Tanh", str(model.policy.mlp_extractor.policy_net))
     assert layers == ["8", "Tanh", "9", "Tanh"]
