@@ -1,7 +1,5 @@
 """Facts about perturbations that are drawn for each episode, single and vector."""
 
-import copy
-import pickle
 from itertools import cycle
 
 import gymnasium as gym
@@ -209,18 +207,6 @@ def test_a_context_is_observed_on_a_given_scale(scale, name, shown):
     many = mmc_gym.make_vec(name, 2, observe_context=scale)
     for observed in (observation, *many.reset(seed=0)[0]):
         np.testing.assert_allclose(observed[15:], shown, atol=2e-3)
-
-
-def test_a_drawn_environment_is_copied():
-    env = mmc_gym.make("longer--30..35+joint-noise-0..0.05+rotation--60..60")
-    env.reset(seed=0)
-    env.step(np.full(3, 0.3, np.float32))
-    twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
-    for _ in range(2):
-        for act in (lambda one: one.step(np.full(3, -0.2, np.float32)), lambda one: one.reset()):
-            expected = act(env)
-            for twin in twins:
-                assert_same(expected, act(twin))
 
 
 def test_distributions_may_change_between_episodes():

@@ -126,19 +126,6 @@ def test_observation_and_info_tell_the_state(lengths, control, weight, smoothnes
         assert reward == pytest.approx(sum(map(info.get, rewards)), rel=1e-12)
 
 
-def test_the_sparse_reward_is_zero_at_the_target_and_minus_one_elsewhere():
-    env = MMCReachEnv(reward_type="sparse", success_distance=0.2)
-    posture, hand = [0.3] * 3, hand_of([0.3] * 3)
-    for offset, reward in ((0.199, 0.0), (0.201, -1.0)):
-        target = hand * (1 - offset / np.linalg.norm(hand))
-        env.reset(options={"joint_angles": posture, "target": target})
-        _, received, terminated, _, info = env.step(np.zeros(3, np.float32))
-        assert received == reward
-        assert info["is_success"] == (reward == 0.0)
-        assert info["reward_distance"] == pytest.approx(-offset, abs=1e-6)
-        assert not terminated
-
-
 def test_joints_go_to_pi_times_the_action_and_standing_at_the_target_is_never_the_end():
     env = MMCReachEnv(control="joint_position", precision_weight=2.5)
     action = np.array([0.25, -0.5, 0.75], np.float32)
@@ -278,6 +265,8 @@ def test_relabelled_transitions_have_the_reward_of_the_step_and_no_end(reward_ty
         goals.append((observation["achieved_goal"], observation["desired_goal"]))
         rewards.append(reward)
         assert env.compute_reward(*goals[-1], info) == reward
+        if reward_type == "sparse":
+            assert reward == (0.0 if info["distance"] <= 1.0 else -1.0) == info["is_success"] - 1
         np.testing.assert_array_equal(goals[-1], [info["end_effector"], info["target"]])
     achieved, desired = np.moveaxis(goals, 1, 0)
     assert env.compute_reward(achieved, desired, [{}] * 200).tolist() == rewards

@@ -32,12 +32,14 @@ from mmc_gym.interface import CONTROLS
 PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
 KNOWN = [f"{name}-known" for name, family in FAMILIES.items() if family.known]
-OTHERS = [*sorted({*TASKS, *FAMILIES, *KNOWN} - {"random"}), "centre-out+rotation-30+delay-40"]
+DRAWN = "longer--30..35+joint-noise-0..0.05+rotation--60..60"
+TOGETHER = [DRAWN, "centre-out+rotation-30+delay-40"]
+OTHERS = [*sorted({*TASKS, *FAMILIES, *KNOWN} - {"random"}), *TOGETHER]
 CASES = [*product(PLAIN, CONTROLS), *zip(OTHERS, cycle(CONTROLS), strict=False)]
 DAILY = {
     ("MMCReach-v0", "joint_delta"),
     ("MMCReachGoal-v0", "joint_position"),
-    *(case for case in CASES if case[0] in ("locked", "delay", "via-points", "joint-noise")),
+    *(case for case in CASES if case[0] in ("locked", "delay", "via-points", "joint-noise", DRAWN)),
 }
 every_case = pytest.mark.parametrize(
     ("name", "control"),
@@ -270,14 +272,9 @@ def rollout(env, actions, seed=None):
 
 
 @every_case
-def test_gymnasium_approves(env):
+def test_gymnasium_and_stable_baselines3_approve(env, capsys):
     check_env(env.unwrapped)  # pytest makes its warnings errors
-    assert env.spec is not None
     assert gym.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
-
-
-@every_case
-def test_stable_baselines3_approves(env, capsys):
     check_env_for_sb3(env.unwrapped, warn=True, skip_render_check=False)
     is_goal_env = isinstance(env.observation_space, gym.spaces.Dict)
     assert ("GoalEnv" in capsys.readouterr().out) == is_goal_env
