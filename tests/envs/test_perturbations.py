@@ -363,11 +363,6 @@ def test_starts_and_targets_are_clear_of_obstacles():
             env.reset(options=options)
 
 
-class Misspelt(Perturbation):
-    def change_bodies(self, body):
-        return body
-
-
 class Forgetful(Noise):
     """No method returns anything."""
 
@@ -379,8 +374,9 @@ class Forgetful(Noise):
 
 
 def test_what_cannot_be_or_be_combined_is_refused():
+    misspelt = type("Misspelt", (Perturbation,), {"change_bodies": Perturbation.change_body})()
     for perturbations, message in (
-        (Misspelt(), "Misspelt must have a method change_body"),
+        (misspelt, "Misspelt must have a method change_body"),
         (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
         (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
         ("rotation-30+delay-40", r"perturbations '.* a list such as \['rotation-30', 'delay-40'"),

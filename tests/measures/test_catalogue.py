@@ -143,6 +143,7 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
     found = measure_all(episode)
     assert found == pytest.approx(expected, nan_ok=True)
     assert list(found) == list(expected)  # the columns of data, and the rows of tables
+    assert MEASURES["sparc"].full_label == "smoothness (SPARC)"
 
 
 def test_rest_after_a_movement_does_not_change_its_shape(make_episode):
