@@ -216,6 +216,7 @@ def test_distributions_may_change_between_episodes():
         each.reset(seed=0)
     sync.set_attr("perturbations", [wider, wider])
     env.unwrapped.perturbations = wider
+    assert list(env.unwrapped.perturbations) == wider
     rotations = []
     for step in range(203):
         actions = np.full((2, 3), 0.1 * np.cos(step), np.float32)
