@@ -1,12 +1,10 @@
 """Settings and fixtures that all tests share."""
 
-import base64
-import gc
 import math
 import os
+import re
 import shutil
-import tempfile
-from pathlib import Path
+from types import SimpleNamespace
 
 # Before any library is imported.
 # One thread a worker: the tests run in parallel already, and sums keep their order.
@@ -56,13 +54,6 @@ class Oracle:
         return np.array(action, np.float32).clip(-1, 1), None
 
 
-class Frozen:
-    """An agent whose target posture is always the present one, so that it never moves."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.zeros_like(observation[..., :3]), None
-
-
 @pytest.fixture
 def oracle():
     return Oracle()
@@ -70,7 +61,8 @@ def oracle():
 
 @pytest.fixture
 def frozen():
-    return Frozen()
+    """An agent whose target posture is always the present one, so that it never moves."""
+    return SimpleNamespace(predict=lambda seen, *_, **__: (np.zeros_like(seen[..., :3]), None))
 
 
 @pytest.fixture
@@ -135,21 +127,6 @@ def make_episode():
     return episode_of
 
 
-@pytest.fixture
-def ray(monkeypatch):
-    """Ray, in a temporary folder with a name short enough for sockets."""
-    module = pytest.importorskip("ray")
-    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
-    monkeypatch.setenv("RAY_TMPDIR", folder)
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    # Otherwise the client server dies at one start in ten or so (Ray's issue 63202).
-    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
-    yield module
-    module.shutdown()
-    shutil.rmtree(folder, ignore_errors=True)
-    gc.collect()
-
-
 CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
     "--headless=new",
@@ -188,13 +165,20 @@ def browser(tmp_path_factory):
     browser.quit()
 
 
-@pytest.fixture
-def keep():
-    """Write base64 content of the browser into the folder MMC_GYM_ARTEFACTS, if that is set."""
+def resize(browser, width, height, scale=1):
+    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
-    def write(name, content):
-        if folder := os.environ.get("MMC_GYM_ARTEFACTS"):
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            (Path(folder) / name).write_bytes(base64.b64decode(content))
 
-    return write
+def wait_until(browser, condition):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, PATIENCE, 0.05).until(lambda _: condition())
+
+
+def assert_quiet(browser):
+    """Nothing is logged, and nothing was asked of a network."""
+    asked = " ".join(line["message"] for line in browser.get_log("performance"))
+    urls = re.findall(r'"Network.requestWillBeSent".*?"url":"(\w+):', asked)
+    assert "file" in urls and not {"http", "https", "ws", "wss"} & set(urls)
+    assert [entry for entry in browser.get_log("browser") if entry["level"] != "INFO"] == []

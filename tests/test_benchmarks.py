@@ -63,8 +63,5 @@ def test_the_network_reaches_what_the_arm_can_reach_as_given_and_changed(tmp_pat
 
     own = next(row for row in rows["outside"] if row["solver"] == "mmc-gym")
     assert own["none"] == 0 and 0 <= own["mm"] < 50  # it stays near a target out of reach
-    best = {}
-    for row in rows["reach"]:
-        best[row["solver"]] = max(best.get(row["solver"], 0), row["late"])
-    assert {"mmc-gym", "damped least squares"} <= best.keys()
-    assert min(best.values()) > 0  # every solver solves some
+    solving = {row["solver"] for row in rows["reach"] if row["late"] > 0}
+    assert solving == {row["solver"] for row in rows["reach"]} > {"damped least squares"}

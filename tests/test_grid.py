@@ -1,9 +1,12 @@
 """A grid has the same results in one process, in several, and on a cluster that loses a node."""
 
+import gc
 import os
+import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,17 +74,12 @@ def refuse_three(number):
     return number
 
 
-class Unpicklable(Exception):
-    def __init__(self, one, two):
-        super().__init__("lost a half")
-
-
 def raise_unpicklable(number):
+    class Unpicklable(Exception):
+        def __init__(self, one, two):
+            super().__init__("lost a half")
+
     raise Unpicklable(1, 2)
-
-
-def end(number):
-    sys.exit(3)
 
 
 def die(cell):
@@ -132,7 +130,7 @@ def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
     ("function", "cell", "message"),
     [
         (raise_unpicklable, 1, "RuntimeError: Unpicklable: lost a half"),
-        (end, 1, "SystemExit: 3"),
+        (sys.exit, 3, "SystemExit: 3"),
         (square, (n for n in ()), "cell 0, .*TypeError: it cannot be pickled: .*generator"),
     ],
 )
@@ -204,6 +202,21 @@ def uses_ray(test):
 
 
 @pytest.fixture
+def ray(monkeypatch):
+    """Ray, in a temporary folder with a name short enough for sockets."""
+    module = pytest.importorskip("ray")
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
+    monkeypatch.setenv("RAY_TMPDIR", folder)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    # Otherwise the client server dies at one start in ten or so (Ray's issue 63202).
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+    yield module
+    module.shutdown()
+    shutil.rmtree(folder, ignore_errors=True)
+    gc.collect()
+
+
+@pytest.fixture
 def cluster(ray):
     from ray.cluster_utils import Cluster
 
@@ -229,8 +242,8 @@ def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeyp
     with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused"):
         run_grid(refuse_three, [0, 3, *range(4, 90)], cluster="ray", on_result=seen.__setitem__)
     assert seen[0] == 0 and len(seen) < 80
-    with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
-        run_grid(end, [1], cluster="ray")
+    with pytest.raises(CellError, match="cell 0, 3, failed: SystemExit: 3"):
+        run_grid(sys.exit, [3], cluster="ray")
     monkeypatch.setattr(_grid, "_sources", lambda: "others")
     with pytest.raises(CellError, match="must have the caller's sources of mmc_gym"):
         run_grid(square, [1], cluster="ray")

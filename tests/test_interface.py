@@ -20,7 +20,6 @@ from mmc_gym.interface import (
     ReachInterface,
     Sensed,
     action_meaning,
-    relative_speeds,
 )
 
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
@@ -40,7 +39,9 @@ def arms(seed, count=5, joints=3):
 
 
 @given(st.integers(0, 2**31), st.integers(1, 5), st.booleans(), st.booleans())
-def test_one_arm_is_encoded_as_many_are(seed, joints, is_clipped, has_goals):
+def test_one_arm_is_encoded_as_many_are_and_the_world_recovered(
+    seed, joints, is_clipped, has_goals
+):
     layout = ObservationLayout(joints, float(joints), is_clipped and not has_goals, has_goals)
     angles, speeds, hands, targets = arms(seed, joints=joints)
     many = layout.encode(angles, speeds, hand=hands, target=targets)
@@ -52,6 +53,12 @@ def test_one_arm_is_encoded_as_many_are(seed, joints, is_clipped, has_goals):
         for name in one if has_goals else [...]:
             np.testing.assert_allclose(one[name], many[name][index], atol=1e-7)
             assert one[name].dtype == many[name].dtype
+    if not layout.is_clipped:
+        interface = replace(INTERFACE, segment_lengths=(1.0,) * joints)
+        sensed = interface.sense(many)
+        np.testing.assert_allclose(sensed.joint_angles, angles, atol=1e-6)
+        np.testing.assert_allclose(sensed.target, targets, atol=1e-5)
+        np.testing.assert_allclose(interface.see(many).hand, hands, atol=1e-5)
 
 
 @pytest.mark.parametrize(("module", "arrays"), [(np, np.asarray), (torch, torch.from_numpy)])
@@ -75,19 +82,6 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(module, ar
     assert LAYOUT.flatten(longer, module) is longer
 
 
-@given(st.integers(0, 2**31), st.integers(1, 5))
-def test_the_world_is_recovered_from_observations_of_either_kind(seed, joints):
-    interface = replace(INTERFACE, segment_lengths=(1.0,) * joints)
-    angles, speeds, hands, targets = arms(seed, joints=joints)
-    for has_goals in (False, True):
-        layout = replace(interface.layout, has_goals=has_goals)
-        observation = layout.encode(angles, speeds, hand=hands, target=targets)
-        sensed = interface.sense(observation)
-        np.testing.assert_allclose(sensed.joint_angles, angles, atol=1e-6)
-        np.testing.assert_allclose(sensed.target, targets, atol=1e-5)
-        np.testing.assert_allclose(interface.see(observation).hand, hands, atol=1e-5)
-
-
 @pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
 def test_the_layout_knows_the_spaces_of_the_environments(env_id):
     space = gym.make(env_id).observation_space
@@ -101,12 +95,6 @@ def test_the_layout_knows_the_spaces_of_the_environments(env_id):
         ObservationLayout(4, 4.0).additions(space)
 
 
-@pytest.mark.parametrize("kind", [list, np.array])
-def test_speeds_are_fractions_of_their_limit(kind):
-    found = relative_speeds(kind([-9.0, -1.0, 0.5, 9.0]), 2.0)
-    np.testing.assert_array_equal(found, [-1.0, -0.5, 0.25, 1.0])
-
-
 FLAT = np.zeros(15)
 GOAL = {"observation": np.zeros(9), "achieved_goal": np.zeros(2), "desired_goal": np.zeros(2)}
 
@@ -115,7 +103,7 @@ GOAL = {"observation": np.zeros(9), "achieved_goal": np.zeros(2), "desired_goal"
     ("wrong", "message"),
     [
         (np.append(FLAT, 0), r"observation must be of shape \(..., 15\), got \(16,\)"),
-        ("far", "observation must be an array of numbers, got 'far'"),
+        ("far", "observation must be .* numbers, got 'far'"),
         (np.append(FLAT[1:], np.nan), r"observation must be finite, got array"),
         ({"observation": np.zeros(9)}, "mapping with observation, achieved_goal"),
         (GOAL | {"desired_goal": np.zeros((2, 2))}, "arrays with the same batch axes, got {'obse"),

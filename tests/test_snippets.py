@@ -64,6 +64,12 @@ def run(folder, *command):
     return done.stdout
 
 
+def code_of(page, text):
+    """Return the code of a how-to page that has this text."""
+    page = (DOCS / "how-to" / page).read_text()
+    return next(one for one in blocks(page, "python") if text in one)
+
+
 MODEL = """
 import mmc_gym
 from stable_baselines3 import PPO
@@ -88,13 +94,9 @@ def fill(folder):
         shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
     (robot,) = blocks((DOCS / "how-to" / "urdf.md").read_text(), "xml")
     (folder / "arm.urdf").write_text(robot)
-    page = (DOCS / "how-to" / "stable-baselines3.md").read_text()
-    stack = next(one for one in blocks(page, "python") if "def stack" in one)
-    (folder / "stacked.py").write_text(stack)
+    (folder / "stacked.py").write_text(code_of("stable-baselines3.md", "def stack"))
+    (folder / "mine.py").write_text(code_of("adaptation.md", "def first"))
     page = (DOCS / "how-to" / "adaptation.md").read_text()
-    (folder / "mine.py").write_text(
-        next(one for one in blocks(page, "python") if "def first" in one)
-    )
     for name, text in zip(("aba", "learners"), blocks(page, "yaml"), strict=True):
         (folder / f"{name}.yml").write_text(text)
     (folder / "people.csv").write_text("trial,adaptation\n40,0.1\n87,0.9\n")
@@ -131,8 +133,7 @@ def test_the_code_of_a_page_runs(code, here):
     if missing := [name for name in sorted(others) if find_spec(name) is None]:
         pytest.skip(f"not installed: {', '.join(missing)}")
     if "load_dataset" in code:
-        page = (DOCS / "how-to" / "other-libraries.md").read_text()
-        run(here, "-c", next(one for one in blocks(page, "python") if "create_dataset" in one))
+        run(here, "-c", code_of("other-libraries.md", "create_dataset"))
     for long, short in SHORTER.items():
         code = re.sub(long, short, code)
     run(here, *(() if others else ("-W", "error")), "-c", code)

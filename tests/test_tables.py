@@ -65,15 +65,13 @@ def test_texts_alone_are_broken_but_for_their_names():
 
 
 @pytest.mark.parametrize(("estimate", "text"), [(0.5, "0.50"), (12.345, "12.3"), (1234.5, "1234")])
-def test_an_estimate_has_three_digits_its_interval_and_how_many_have_a_value(estimate, text):
-    row = {"estimate": estimate, "low": 0.4, "high": 0.6, "count": 9, "missing": 1}
-    cell = estimate_cell(row, 2)
+def test_an_estimate_has_three_digits_and_how_many_have_a_value(estimate, text):
+    cell = estimate_cell({"estimate": estimate, "low": 0, "high": 1, "count": 9, "missing": 1}, 2)
     assert (cell.text, cell.notes[1]) == (text, "9 of 10")
 
 
 def test_degrees_are_spelt_out_where_the_console_has_no_such_sign():
-    shown = printed(
-        Table((Heading("a"), Heading("turn", "°")), (Row("b 30°", (Cell("1°/s"),)),)), 60
-    )
+    table = Table((Heading("a"), Heading("turn", "°")), (Row("b 30°", (Cell("1°/s"),)),))
+    shown = printed(table, 60)
     assert shown.isascii() and "[deg]" in shown
     assert "b 30 deg" in shown and "1 deg/s" in shown

@@ -14,10 +14,11 @@ from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.registry import IDEAL, REFERENCE
 from mmc_gym.benchmark import store
 from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
-from mmc_gym.measures import MEASURES, Episode
+from mmc_gym.measures import MEASURES
 from mmc_gym.network.time_base import minimum_jerk
 from mmc_gym.report import write_report
 from mmc_gym.report.results import read_results
+from tests.conftest import episode_of
 
 HOSTILE = "<script>alert(1)</script>"
 KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "locked-1", "locked-2")
@@ -28,8 +29,6 @@ WORLD = {"control_step": CONTROL_STEP, "segment_lengths": LENGTHS, "tolerance": 
 
 
 class Mover(NamedTuple):
-    """How an agent moves."""
-
     duration: int  # steps
     trembling: float  # radians
     lost: float  # radians for each degree of a rotation
@@ -56,20 +55,9 @@ def episode(instance, duration, trembling, error, seed=0):
     joints[0] = start
     joints += np.random.default_rng([instance, seed]).normal(0, 2e-4, (STEPS + 1, 3))
     hands, target = hand_position(joints, LENGTHS), hand_position(end, LENGTHS)
-    return Episode(
-        seed=instance,
-        hands=hands,
-        distances=np.linalg.norm(hands - target, axis=-1),
-        targets=np.broadcast_to(target, hands.shape),
-        joint_angles=joints,
-        servo_impulses=np.abs(np.diff(joints, axis=0)),
-        servo_work=np.abs(np.diff(joints, axis=0)),
-        rewards=-np.linalg.norm(hands[1:] - target, axis=-1),
-        action_times=np.full(STEPS, 1e-5),
-        control_step=CONTROL_STEP,
-        tolerance=0.05,
-        reach=3.0,
-    )
+    turned = np.abs(np.diff(joints, axis=0))
+    servo = {"servo_impulses": turned, "servo_work": turned}
+    return episode_of(hands, target, joint_angles=joints, seed=instance, **servo)
 
 
 def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES, worlds=None):
