@@ -40,7 +40,6 @@ def test_all_agents_and_an_ideal_hand_have_the_same_starts_and_targets(frozen):
     assert list(found.recorded) == ["frozen", "random", REFERENCE]
     assert found.episodes.groupby("agent")["success"].mean()[REFERENCE] == 1.0
     assert found.training_steps[REFERENCE] == 0
-    assert "without an arm" in found.explanation and len(found.note) <= 3 * 80
     explained = console()
     found.print(explained, explain=True)
     text = " ".join(printed(explained).split())
@@ -73,18 +72,18 @@ def test_a_scenario_is_played_by_its_name():
     other = compare(["mmc"], episodes=3, env_kwargs={"perturbations": ["rotation-30"]})
     for one, two in zip(found.recorded["mmc"], other.recorded["mmc"], strict=True):
         np.testing.assert_array_equal(one.hands, two.hands)
-    with pytest.raises(UserError, match="did you mean 'rotation"):
-        compare(["mmc"], "rotaton-30", 3)
 
 
 def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_path, frozen):
     agents = {"frozen": frozen, "random": "random"}
-    for folder in ("a/new", "b/new"):
-        counts = {"episodes": np.int64(4), "seed": np.int64(5)}
-        found = compare(agents, **counts, out=tmp_path / folder, console=console())
-        assert {path.name for path in (tmp_path / folder).iterdir()} == FILES
+    first, second = folders = tmp_path / "a/für Ξ", tmp_path / "b/new"
+    for folder in folders:
+        narrow = console(width=64, encoding="ascii")
+        found = compare(agents, episodes=4, seed=5, out=folder, console=narrow)
+        assert {path.name for path in folder.iterdir()} == FILES
+        assert ("f?r ?" in printed(narrow)) == (folder == first)
     (episodes, again), (summary, other) = (
-        [pd.read_csv(tmp_path / folder / "new" / f"{name}.csv") for folder in "ab"]
+        [pd.read_csv(folder / f"{name}.csv") for folder in folders]
         for name in ("episodes", "summary")
     )
     same = partial(pd.testing.assert_frame_equal, check_exact=True, check_dtype=False)
@@ -94,29 +93,26 @@ def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_pa
     same(episodes, again)
     same(summary, other)
     for name in ("paths_and_profiles.svg", "summary.json"):
-        first, second = (tmp_path / folder / "new" / name for folder in "ab")
-        assert first.read_text() == second.read_text()
-    settings = json.loads(second.read_text())
+        assert (first / name).read_text() == (second / name).read_text()
+    settings = json.loads((second / "summary.json").read_text())
     assert (settings["episodes"], settings["trainings"]) == (4, {"frozen": 1, "random": 1})
     assert settings["training_steps"] == {"frozen": None, "random": 0}
 
 
-def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypatch):
+@pytest.mark.parametrize("columns", [64, 80, 120])
+def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
     agents = ["mmc", "mmc-classical", "mmc-neural", "ik-dls", "random"]
-    comparison = compare(agents, episodes=5)
+    comparison = compare(agents, episodes=3)
     assert capsys.readouterr().out == ""
-    for columns in (120, 80):
-        print(comparison)
-        out = capsys.readouterr().out
-        assert out.isascii()
-        assert max(map(len, out.splitlines())) <= columns
-        assert " ".join(out.split()).startswith(comparison.headline)
-        header = next(line for line in out.splitlines() if line.split()[:1] == ["best"])
-        assert header.split()[1:3] == agents[:2]
-        assert all(agent in out for agent in agents)
-        assert "sum of rewards" in out and "[mass len2/s2]" in out
-        assert "NOT over trainings" in " ".join(out.split())
-        monkeypatch.setenv("COLUMNS", "80")
+    print(comparison)
+    out = capsys.readouterr().out
+    assert out.isascii() and max(map(len, out.splitlines())) <= columns
+    assert " ".join(out.split()).startswith(comparison.headline)
+    headers = [line.split() for line in out.splitlines() if line.split()[:1] == ["best"]]
+    assert [name for line in headers for name in line if name in agents] == agents
+    assert "sum of rewards" in out and "[mass len2/s2]" in out
+    assert "NOT over trainings" in " ".join(out.split())
 
 
 def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, frozen):
@@ -126,7 +122,6 @@ def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_colum
     html = found._repr_html_()
     assert html.count('<th scope="row">') > len(shown_measures())
     assert "50 % &lt;b&gt;_still" in html and "<b>_still" not in html
-    assert 'success at the end<div class="note">[fraction]</div>' in html and "\\n" not in html
     frame = found.to_frame()
     assert list(frame.index) == ["oracle", still, REFERENCE]
     assert list(frame.columns) == list(MEASURES)
@@ -136,11 +131,10 @@ def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_colum
     assert found.to_frame("missing").loc[still, "path_ratio"] == 4
     with pytest.raises(UserError, match="value 'mean' is not accepted"):
         found.to_frame("mean")
-    titles = [axes.get_title() for axes in found.plot().axes[:3]]
-    assert [title.replace("\n", " ") for title in titles] == list(frame.index)
     given = Figure(figsize=(9, 5))
     assert found.plot(given) is given
-    assert [axes.get_title() for axes in given.axes[:3]] == titles
+    titles = [axes.get_title().replace("\n", " ") for axes in given.axes[:3]]
+    assert titles == list(frame.index)
 
 
 def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle, frozen):
@@ -164,74 +158,39 @@ def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle,
 
 
 def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
-    found = compare(["mmc", "random", "ik-dls"], episodes=3)
-    assert found.focus == ("mmc",)
-    found = compare(["mmc", "random", "ik-dls"], episodes=3, focus=["ik-dls", "random"])
+    agents = ["mmc", "random", "ik-dls"]
+    assert compare(agents, episodes=3).focus == ("mmc",)
+    found = compare(agents, episodes=3, focus=["ik-dls", "random"])
     assert found.agents == ["ik-dls", "random", "mmc"]
     first, *_, last = found.differences.splitlines()
     assert first.startswith("ik-dls, success at the end: ") and "mmc" in first and "random" in first
     assert last == "random, success at the end: 100.0 points lower than mmc [43.9, 100.0]"
-    with pytest.raises(UserError, match="did you mean 'ik-dls'"):
-        compare(["mmc", "ik-dls"], focus="ik-dsl")
-
-
-def test_agents_that_do_not_fit_and_names_that_the_encoding_lacks_are_no_loss(tmp_path, frozen):
-    narrow, out = console(width=64, encoding="ascii"), tmp_path / "für Ξ"
-    agents = {f"agent {number}": frozen for number in range(4)}
-    compare(agents, episodes=2, out=out, console=narrow)
-    assert {path.name for path in out.iterdir()} == FILES
-    assert "f?r ?" in printed(narrow)
-    lines = [line for line in printed(narrow).splitlines() if not line.startswith("wrote")]
-    assert sum("success at the end " in line for line in lines) > 1
-    for agent in agents:
-        assert sum(line.startswith(" ") and agent in line for line in lines) == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"agents": ["mmc", "nobody"]}, "'nobody' is not accepted"),
-        ({"agents": ["mmc"], "out": __file__}, "out must be a folder"),
-        ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
-        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be .*, got CartPole-v1"),
-        ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
-    ],
-)
-def test_mistakes_are_refused_before_anything_runs(arguments, message, monkeypatch):
-    monkeypatch.setattr("mmc_gym.benchmark.compare.play_episodes", None)
-    with pytest.raises(ValueError, match=message):
-        compare(**arguments)
 
 
 def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_episode):
-    (ideal,) = minimum_jerk_episodes([make_episode(np.zeros((101, 2)), [1.2, 1.6])])
+    asked = [make_episode(np.zeros((steps, 2)), [1.2, 1.6]) for steps in (101, 31)]
+    ideal, short = minimum_jerk_episodes(asked)
     steps = (0.2 + 2.0 / 4) / 0.02
     expected = minimum_jerk(np.arange(101) / steps)[:, None] * [1.2, 1.6]
     assert ideal.hands == pytest.approx(expected, abs=1e-9)
+    assert np.array_equal(ideal.hands[:31], short.hands)
     found = measure_all(ideal)
     assert found["success"] == found["success_1_percent"] == found["velocity_peaks"] == 1
     assert found["path_ratio"] == pytest.approx(1)
     assert found["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
     assert found["minimum_jerk_correlation"] > 0.999
-    for name in ("joint_effort", "joint_work"):
-        assert math.isnan(found[name])
+    assert math.isnan(found["joint_effort"]) and math.isnan(found["joint_work"])
 
 
-def test_the_ideal_hand_does_not_depend_on_what_agents_do(env, oracle, frozen):
-    seeds = episode_seeds(0, 5)
-    one = minimum_jerk_episodes(run_episodes(oracle, env, seeds))
-    other = minimum_jerk_episodes(run_episodes(frozen, env, seeds))
-    for first, second in zip(one, other, strict=True):
-        assert np.array_equal(first.hands, second.hands)
-
-
-def test_it_follows_a_target_that_jumps_in_episodes_of_any_length(frozen, make_episode):
+def test_it_follows_a_target_that_jumps_whatever_agents_do(frozen, oracle):
     env = gym.make("MMCReachDoubleStep200-v0")
-    for ideal in minimum_jerk_episodes(run_episodes(frozen, env, episode_seeds(1, 5))):
+    one, other = (
+        minimum_jerk_episodes(run_episodes(agent, env, episode_seeds(1, 5)))
+        for agent in (frozen, oracle)
+    )
+    for ideal, same in zip(one, other, strict=True):
+        assert np.array_equal(ideal.hands, same.hands)
         assert ideal.distances[-1] == pytest.approx(0, abs=1e-9)
         turn = np.linalg.norm(np.diff(ideal.hands, 2, axis=0), axis=-1)
         assert turn.max() < 0.1  # no corner: the velocity changes little in a step
-    asked = [make_episode(np.zeros((steps, 2)), [2.0, 0.0]) for steps in (101, 31)]
-    long, short = minimum_jerk_episodes(asked)
-    assert np.array_equal(long.hands[:31], short.hands)
     assert minimum_jerk_episodes([]) == ()

@@ -23,8 +23,6 @@ DRAWN = resolve("ppo-drawn-0").card
         ("locked-2", Judged("inside", "locked", 2.0)),
         ("rotation-40+delay-100", Judged("combined")),
         ("random", None),
-        ("pursuit", None),
-        ("obstacles-2", None),
         ("rotation-40+obstacles-2", None),
         ("Pendulum-v1", None),
     ],
@@ -40,9 +38,6 @@ def test_the_protocol_has_scenarios_in_all_places_and_every_family():
     assert len(set(names)) == len(names)
     assert {one.place for one in judged[1:]} == {"inside", "between", "beyond", "combined"}
     assert {one.family for one in judged[1:]} == {"", *ranges}
-
-
-def test_a_protocol_needs_a_training_on_ranges():
     with pytest.raises(UserError, match="trained on ranges of strengths, such as ppo-drawn"):
         protocol([None, resolve("ppo-0").card])
 

@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from mmc_gym._errors import UserError
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents, ranked_scores
+from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 
@@ -17,17 +16,10 @@ from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 def played(agent, environment, times, training_seed=None):
     """Episodes of 2 s with these times to target, NaN for those without success."""
     times = np.array(times, dtype=np.float64)
-    return pd.DataFrame(
-        {
-            "agent": agent,
-            "training_seed": pd.array([training_seed] * len(times), "Int64"),
-            "environment": environment,
-            "instance": range(len(times)),
-            "duration": 2.0,
-            "success": (~np.isnan(times)).astype(float),
-            "time_to_target": times,
-        }
-    )
+    values = {"agent": agent, "environment": environment, "instance": range(len(times))}
+    values["training_seed"] = pd.array([training_seed] * len(times), "Int64")
+    success = (~np.isnan(times)).astype(float)
+    return pd.DataFrame({**values, "duration": 2.0, "success": success, "time_to_target": times})
 
 
 def summary(*frames, **arguments):
@@ -38,12 +30,11 @@ NAN = float("nan")
 
 
 def test_environments_weigh_the_same():
-    large, small = [0.5] * 20, [0.5] * 2
     ranking = summary(
-        played("mmc", "large", large),
+        played("mmc", "large", [0.5] * 20),
         played("mmc", "small", [NAN, NAN]),
-        played("other", "large", [*large[:12], *[NAN] * 8]),
-        played("other", "small", small),
+        played("other", "large", [0.5] * 12 + [NAN] * 8),
+        played("other", "small", [0.5] * 2),
     )
     assert ranking.index.tolist() == ["other", "mmc"]
     assert ranking["success"].tolist() == pytest.approx([0.8, 0.5])
@@ -90,23 +81,15 @@ def test_times_that_an_environment_does_not_report_are_left_out():
 def test_what_was_not_played_has_no_success():
     frames = [played("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
     broken = [CellKey("broken", None, name) for name in ("one", "two")]
-    ranking = summary(*frames, not_played=broken)
-    assert ranking["rank"].to_dict() == {"mmc": 1, "broken": 2}
-    assert ranking["success"].to_dict() == {"mmc": 0.25, "broken": 0.0}
-    assert ranking["not_played"].to_dict() == {"mmc": 0, "broken": 2}
-    assert ranking.loc["broken", "improvement"] == 0.375
-    half = summary(
-        *frames, played("half", "one", [0.5] * 4), not_played=[CellKey("half", None, "two")]
-    )
-    assert half["success"].to_dict() == {"half": 0.5, "mmc": 0.25}
+    half = played("half", "one", [0.5] * 4)
+    ranking = summary(*frames, half, not_played=[*broken, CellKey("half", None, "two")])
+    assert ranking["rank"].to_dict() == {"half": 1, "mmc": 2, "broken": 3}
+    assert ranking["success"].to_dict() == {"half": 0.5, "mmc": 0.25, "broken": 0.0}
+    assert ranking["not_played"].to_dict() == {"half": 1, "mmc": 0, "broken": 2}
+    alone = summary(*frames, not_played=broken)
+    assert alone.loc["broken", "improvement"] == 0.375
     with pytest.raises(ValueError, match="no scenario that all agents have attempted"):
         summary(played("mmc", "one", [0.5]), played("other", "two", [0.5]))
-
-
-def test_nothing_is_ranked_without_any_episode():
-    none = played("mmc", "random", [0.5]).astype({"environment": "category"}).iloc[:0]
-    with pytest.raises(UserError, match="no scenario that all agents have attempted"):
-        ranked_scores(none)
 
 
 def test_training_seeds_are_replicates():
@@ -127,10 +110,9 @@ def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
 def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     console = Console(file=io.StringIO(), width=80)
     manifest = benchmark(["mmc", "mmc-classical"], tmp_path, ["random"], episodes=2, jobs=1)
-    lost = NotPlayed(
-        agent="mmc", training_seed=None, environment="pursuit", status="failed", reason="died"
-    )
-    update_manifest(tmp_path, lambda _: manifest.model_copy(update={"not_played": [lost]}))
+    key = CellKey("mmc", None, "pursuit")
+    lost = [NotPlayed(**key._asdict(), status="failed", reason="died")]
+    update_manifest(tmp_path, lambda _: manifest.model_copy(update={"not_played": lost}))
     print_ranking(console, tmp_path)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= 80

@@ -106,16 +106,10 @@ def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():
 def rows(agent, values, environment="E", seeds=None):
     """Tidy rows of values (policies, instances)."""
     values = np.atleast_2d(np.asarray(values, dtype=float))
-    seeds = range(len(values)) if seeds is None else seeds
-    return pd.DataFrame(
-        {
-            "agent": agent,
-            "training_seed": np.repeat(list(seeds), values.shape[1]),
-            "environment": environment,
-            "instance": np.tile(np.arange(values.shape[1]), len(values)),
-            "value": values.ravel(),
-        }
-    )
+    count, seeds = values.shape[1], range(len(values)) if seeds is None else seeds
+    seeds, instances = np.repeat(list(seeds), count), np.tile(np.arange(count), len(values))
+    where = {"agent": agent, "environment": environment, "instance": instances}
+    return pd.DataFrame({**where, "training_seed": seeds, "value": values.ravel()})
 
 
 def estimate(*frames, statistic="mean", **arguments):
@@ -136,6 +130,10 @@ def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     values = random.normal(size=(40, 1)) + 2.0 * random.normal(size=(1, 100))
     error = math.sqrt(values.mean(1).var() / 40 + values.mean(0).var() / 100)
     assert width(estimate(rows("a", values))) == pytest.approx(2 * 1.96 * error, rel=0.08)
+    one = random.normal(size=(1, 400))
+    untrained = estimate(rows("a", one, seeds=[None]))  # resampled over instances alone
+    assert untrained.estimate == pytest.approx(one.mean())
+    assert width(untrained) == pytest.approx(2 * 1.96 * one.std() / 20, rel=0.08)
 
 
 def test_shares_that_differ_in_no_pair_may_differ_in_what_so_many_pairs_hide():
@@ -160,14 +158,6 @@ def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     small, large = rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")
     found = estimate(small, large, resamples=50)  # and environments count equally
     assert found.estimate == pytest.approx(0.5)
-
-
-def test_an_agent_without_training_is_resampled_over_instances_alone():
-    values = np.random.default_rng(3).normal(size=(1, 400))
-    untrained = rows("a", values, seeds=[None])
-    found = estimate(untrained)
-    assert found.estimate == pytest.approx(values.mean())
-    assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
 
 
 def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():

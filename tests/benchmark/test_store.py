@@ -24,7 +24,7 @@ from mmc_gym.benchmark.store import (
 )
 from mmc_gym.measures.catalogue import MEASURES
 
-KEY = CellKey("ppo", 3, "random")
+KEY, OTHER = CellKey("ppo", 3, "random"), CellKey("ppo", 4, "random")
 SETTINGS = {"seed": 0, "arguments": [1, 2]}
 MANIFEST = Manifest(episodes=3, seed=1)
 READ = {EPISODES: read_episodes, PATHS: read_paths}
@@ -64,26 +64,21 @@ def test_episodes_are_read_back(store, episodes):
     assert np.isnan(frame["time_to_target"][1])
 
 
-def test_paths_are_read_back(store, episodes):
-    frame, one = read_paths(store), episodes[0]
+def test_paths_of_hands_with_and_without_an_arm_and_of_cursors_are_read_back(
+    store, episodes, make_episode
+):
+    hands, one = np.linspace([0.0, 1.0], [2.0, 1.0], 5), episodes[0]
+    turned = make_episode(hands, [2, 2], cursors=hands + 1, joint_angles=np.zeros((5, 0)))
+    write(store, KEY._replace(environment="rotation-30"), [turned], FACTS)
+    frame = read_paths(store)
     assert list(frame.columns[:5]) == ["agent", "training_seed", "environment", "instance", "step"]
-    assert frame["step"].tolist() == list(range(41))
+    assert frame["step"].tolist() == [*range(41), *range(5)]
     assert frame["hand_x"].dtype == np.float32
     columns = ["joint_angle_1", "joint_angle_2", "joint_angle_3", "hand_x", "hand_y"]
     columns += ["target_x", "target_y", "cursor_x", "cursor_y"]
-    kept = np.hstack([one.joint_angles, one.hands, one.targets, one.hands])
-    np.testing.assert_array_equal(frame[columns], kept.astype(np.float32))
-
-
-def test_cursors_and_hands_without_an_arm_are_read_back(store, make_episode):
-    hands, no_joints = np.linspace([0.0, 1.0], [2.0, 1.0], 5), np.zeros((5, 0))
-    turned = make_episode(hands, [2.0, 2.0], cursors=hands + 1.0, joint_angles=no_joints)
-    write(store, KEY._replace(environment="rotation-30"), [turned], FACTS)
-    frame = read_paths(store)
-    joints = frame[["joint_angle_1", "joint_angle_2", "joint_angle_3"]]
-    assert joints[frame["environment"] == "rotation-30"].isna().all(axis=None)
-    away = frame[["cursor_x", "cursor_y"]].to_numpy() - frame[["hand_x", "hand_y"]].to_numpy()
-    np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
+    known = np.hstack([one.joint_angles, one.hands, one.targets, one.hands])
+    other = np.hstack([np.full((5, 3), np.nan), hands, turned.targets, hands + 1])
+    np.testing.assert_array_equal(frame[columns], np.vstack([known, other]).astype(np.float32))
 
 
 def test_a_cell_is_known_by_its_settings_and_leaves_nothing_once_removed(store, episodes):
@@ -97,34 +92,29 @@ def test_a_cell_is_known_by_its_settings_and_leaves_nothing_once_removed(store, 
 
 
 @pytest.mark.parametrize("kind", READ)
-def test_damage_is_noticed(store, kind):
-    path = store / kind / KEY.file_name
+def test_damage_is_noticed_and_named(store, kind):
+    path, other = store / kind / KEY.file_name, store / kind / OTHER.file_name
+    other.write_bytes(path.read_bytes())
+    with pytest.raises(UserError, match=f"{other.name} is damaged.* a copy of {KEY.stem}"):
+        READ[kind](store)
+    other.unlink()
     cut = path.read_bytes()[:-50]
     pd.DataFrame({"agent": ["ppo"]}).to_parquet(path)  # not made by the benchmark
     for content in (path.read_bytes(), cut, b""):
         path.write_bytes(content)
-        with pytest.raises(UserError, match="is damaged"):
+        with pytest.raises(UserError, match=f"{path.name} is damaged"):
             READ[kind](store)
         assert cell_facts(store, KEY, SETTINGS) is None
     path.unlink()
     assert cell_facts(store, KEY, SETTINGS) is None
 
 
-@pytest.mark.parametrize("kind", READ)
-def test_a_file_that_was_copied_over_another_is_named(store, kind):
-    other = KEY._replace(training_seed=4)
-    (store / kind / other.file_name).write_bytes((store / kind / KEY.file_name).read_bytes())
-    with pytest.raises(UserError, match=f"{other.file_name} is damaged.* a copy of {KEY.stem}"):
-        READ[kind](store)
-
-
 def test_a_file_that_was_removed_is_named(store, episodes):
-    other = KEY._replace(training_seed=4)
-    write(store, other, episodes, FACTS)
+    write(store, OTHER, episodes, FACTS)
     (store / PATHS / KEY.file_name).unlink()
     with pytest.raises(UserError, match=f"{PATHS}/{KEY.file_name} is missing"):
         read_episodes(store)
-    (store / PATHS / other.file_name).unlink()
+    (store / PATHS / OTHER.file_name).unlink()
     assert len(read_episodes(store)) == 4  # without any paths, a store is whole
     manifest = MANIFEST.model_copy(update={"cpu_seconds": {KEY.stem: 1.0, "mmc--random": 1.0}})
     with pytest.raises(UserError, match=f"{EPISODES}/mmc--random.parquet is missing"):
@@ -132,10 +122,9 @@ def test_a_file_that_was_removed_is_named(store, episodes):
 
 
 def test_a_cell_of_another_benchmark_and_a_folder_without_one_are_named(store, episodes, tmp_path):
-    other = KEY._replace(training_seed=4)
-    content = episodes_file(other, episodes, {**SETTINGS, "seed": 1}, {})
-    write_cell(store, other, {EPISODES: content})
-    with pytest.raises(UserError, match=f"{other.file_name} must be of the same settings as"):
+    content = episodes_file(OTHER, episodes, {**SETTINGS, "seed": 1}, {})
+    write_cell(store, OTHER, {EPISODES: content})
+    with pytest.raises(UserError, match=f"{OTHER.file_name} must be of the same settings as"):
         read_episodes(store)
     for read in (read_episodes, read_manifest):
         with pytest.raises(UserError, match="folder must hold a benchmark's"):

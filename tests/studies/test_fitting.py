@@ -9,11 +9,7 @@ import torch
 from mmc_gym import UserError
 from mmc_gym.network import LearnedNormalizer
 from studies.network import fitting
-from studies.network.fitting import (
-    ACCURATE,
-    PAPER,
-    train_normalizers,
-)
+from studies.network.fitting import ACCURATE, PAPER, train_normalizers
 
 WIDTHS = (2, 5, 3, 2)
 SHORT = replace(PAPER, samples=400, epochs=8)

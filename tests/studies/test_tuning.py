@@ -70,11 +70,8 @@ def test_the_first_trial_has_the_constants_in_use_which_are_those_of_the_agent(t
 @pytest.mark.parametrize(
     ("name", "keys", "in_use"),
     [
-        (
-            "ppo",
-            "learning_rate: lin_1.2345e-5, ent_coef: 0.5, batch_size: 77, n_epochs: 12",
-            {"learning_rate": "lin_1.2345e-05", "ent_coef": 0.5, "batch_size": 77, "n_epochs": 12},
-        ),
+        ("ppo", "ent_coef: 0.5, batch_size: 77", {"ent_coef": 0.5, "batch_size": 77}),
+        ("ppo", "learning_rate: lin_1.2345e-5", {"learning_rate": "lin_1.2345e-05"}),
         ("sac", "", {"learning_rate": 3e-4, "target_entropy": "auto", "ent_coef": "auto"}),
         ("tqc", "ent_coef: 0.2, tau: 0.5", {"ent_coef": 0.2, "tau": 0.5, "batch_size": 256}),
     ],
