@@ -92,7 +92,10 @@ def test_of_a_range_five_episodes_are_shown(tmp_path, capsys):
         picture_draws("rotation--60..60", "draws.gif")
 
 
-def test_a_scenario_has_a_name_or_an_id(capsys):
+def test_a_scenario_has_a_name_or_an_id_and_an_experiment_a_file(tmp_path):
+    (tmp_path / "mine.yml").write_text("name: mine\nblocks: [{name: all, trials: 0}]\n")
+    with pytest.raises(UserError, match="trials must be greater than 0"):
+        list(describe(str(tmp_path / "mine.yml")))
     with pytest.raises(UserError, match="'mmc' is not accepted: it is an agent"):
         list(describe("mmc"))
     assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))  # an id is a name

@@ -24,12 +24,6 @@ def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes):
     return replace(CARD, name=name, seed=seed, learning_curve=curve.to_dict("records"), **changes)
 
 
-def write(folder, *cards):
-    for card in cards:
-        save_policy(NETWORK, card, folder)
-    return folder
-
-
 def test_cards_are_of_all_that_ship_or_of_agents_by_name_or_pattern(tmp_path):
     assert {name: len(cards) for name, cards in read_cards().items()} == {
         name: agent.training_seeds
@@ -37,35 +31,32 @@ def test_cards_are_of_all_that_ship_or_of_agents_by_name_or_pattern(tmp_path):
         if agent.training_seeds and agent.is_ranked
     }
     for seed in (10, 2):
-        write(tmp_path / f"mine-{seed}", training("mine", seed=seed))
+        save_policy(NETWORK, training("mine", seed=seed), tmp_path / f"mine-{seed}")
     found = read_cards(["sac-1", str(tmp_path / "mine-*")])
-    assert {name: [card.seed for card in cards] for name, cards in found.items()} == {
-        "sac-1": [1],
-        "mine": [2, 10],
-    }
+    seeds = {name: [card.seed for card in cards] for name, cards in found.items()}
+    assert seeds == {"sac-1": [1], "mine": [2, 10]}
     with pytest.raises(UserError, match="agents must be trained policies with a card, got 'mmc'"):
         read_cards(["mmc"])
-
-
-def test_there_is_a_row_for_each_evaluation_of_each_training():
-    frame = curve_rows({"ppo": [training(seed=0), training(seed=5, seconds_per_leg=30.0)]})
-    assert list(frame["seed"]) == [0] * 5 + [5] * 5
-    assert list(frame["success"]) == [*RISE, *RISE]
-    last = {"agent": "ppo", "seed": 5, "steps": 5_000, "seconds": 300, "cpu_seconds": 150}
-    assert dict(frame.iloc[-1, :5]) == last
-    with pytest.raises(UserError, match="learning_curve of ppo-0 must be of evaluations"):
-        curve_rows({"ppo": [training(success=())]})
 
 
 def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
     rises = [(0.0, 0.4, 1.0), (0.2, 0.6, 1.0), (0.4, 0.5, 1.0)]
     cards = [training(seed=seed, success=rise) for seed, rise in enumerate(rises)]
-    curve = mean_curves(curve_rows({"ppo": cards}), "steps")
+    rows = curve_rows({"ppo": cards})
+    assert list(rows["success"]) == [value for rise in rises for value in rise]
+    last = {"agent": "ppo", "seed": 2, "steps": 3_000, "seconds": 360, "cpu_seconds": 180}
+    assert dict(rows.iloc[-1, :5]) == last
+    curve = mean_curves(rows, "steps")
     assert list(curve["steps"]) == [1_000, 2_000, 3_000]
     # With three seeds, 1 in 27 resamples holds nothing but the smallest.
     expected = [[0.2, 0.0, 0.4, 3], [0.5, 0.4, 0.6, 3], [1.0, 1.0, 1.0, 3]]
     found = curve[["success", "low", "high", "seeds"]]
     np.testing.assert_allclose(found, expected, atol=0.03)
+    figure = draw_learning_curves(curve, mean_curves(rows, "cpu_seconds"))
+    drawn = next(line for line in figure.axes[1].lines if len(line.get_xdata()) > 2)
+    np.testing.assert_allclose(drawn.get_xydata(), [[1, 0.2], [2, 0.5], [3, 1]])
+    with pytest.raises(UserError, match="learning_curve of ppo-0 must be of evaluations"):
+        curve_rows({"ppo": [training(success=())]})
 
 
 def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
@@ -76,16 +67,6 @@ def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
     assert list(curve["cpu_seconds"]) == [15, 30, 40]
     expected = [(0.1 + 0.5) / 2, (0.3 + 0.7) / 2, (0.4 + 0.7) / 2]
     assert curve["success"].to_numpy() == pytest.approx(expected)
-
-
-def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
-    cards = {"ppo": [training(seed=seed) for seed in range(3)], "sac": [training("sac")]}
-    curves = curve_rows(cards)
-    figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
-    drawn = [line for line in figure.axes[1].lines if len(line.get_xdata()) > 2]
-    assert drawn[0].get_xdata() == pytest.approx([1, 2, 3, 4, 5])
-    assert drawn[0].get_ydata() == pytest.approx(RISE)
-    assert len({line.get_linestyle() for line in drawn}) == 2  # distinct without colour
 
 
 def table_of(*cards):
@@ -107,19 +88,3 @@ def test_steps_and_minutes_to_a_level_are_the_median_over_seeds_and_may_be_later
         assert row["estimate"] == pytest.approx(estimate, nan_ok=True)
         assert (row["count"], row["missing"]) == (2, len(few))
         assert np.isnan([row["low"], row["high"]]).all()
-
-
-def test_the_study_prints_and_writes_its_table_and_draws_the_curves(tmp_path, capsys, monkeypatch):
-    few = [training(seed=seed, success=(0.5, 1.0) if seed else (0.5, 0.5)) for seed in range(3)]
-    cards = {"ppo": few, "sac": [training(success=(0.5, 0.96), scores={"success": 0.96})]}
-    monkeypatch.setattr(study, "read_cards", lambda agents: cards)
-    study.main(out=tmp_path)
-    assert len(pd.read_csv(tmp_path / "trainings.csv")) == 4
-    assert len(pd.read_csv(tmp_path / "curves.csv")) == 8
-    assert {path.name for path in tmp_path.glob("learning_curves.*")} == {
-        *("learning_curves.png", "learning_curves.svg")
-    }
-    table = pd.read_csv(tmp_path / "table.csv").set_index(["agent", "measure"])
-    assert table.loc[("sac", "steps_to_95"), "estimate"] == 2.0
-    printed = capsys.readouterr().out
-    assert "2 of 3" in printed and "0 of 1" in printed and "0.960" in printed

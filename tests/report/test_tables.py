@@ -76,30 +76,23 @@ def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
     assert any(one.best for one in race.values())
 
 
-def test_one_lucky_success_is_never_the_best(results):
-    here = results.episodes["environment"] == "rotation-15"
-    first = results.episodes["instance"] == 0
-    lucky = here & first & (results.episodes["agent"] == "mmc")
-    times = results.episodes["time_to_target"].astype(float)
-    times.loc[here & ~lucky] = math.nan
-    times.loc[lucky] = 0.1
-    episodes = results.episodes.assign(time_to_target=times)
-    measures = tuple(one for one in results.measures if one.name == "time_to_target")
-    table = tables.score_table(
-        replace(results, episodes=episodes, measures=measures), "rotation-15"
-    )
-    race = {row.name: row.cells[0] for row in table.rows}
-    assert race["mmc"][:3] == ("0.10", ("7 %",), False)
-    assert {race[name][:3] for name in race if name != "mmc"} == {("–", (), False)}
+def race(results, name, values):
+    """Return each agent's cell of one measure in `rotation-15`, of these values."""
+    episodes = results.episodes.assign(**{name: values})
+    measures = tuple(one for one in results.measures if one.name == name)
+    changed = replace(results, episodes=episodes, measures=measures)
+    return {row.name: row.cells[0] for row in tables.score_table(changed, "rotation-15").rows}
 
 
-def test_a_value_that_is_not_finite_is_never_the_best(results):
-    rows = results.episodes.assign(final_distance=results.episodes["final_distance"].astype(float))
-    rows.loc[rows["agent"] == "mmc", "final_distance"] = -math.inf
-    measures = tuple(one for one in results.measures if one.name == "final_distance")
-    table = tables.score_table(replace(results, episodes=rows, measures=measures), "rotation-15")
-    best = {row.name: row.cells[0].text for row in table.rows if row.cells[0].best}
-    assert best and "–" not in best.values()
+def test_one_lucky_success_and_a_value_that_is_not_finite_are_never_the_best(results):
+    rows = results.episodes
+    lucky = (rows["agent"] == "mmc") & (rows["instance"] == 0)
+    times = race(results, "time_to_target", lucky.map({True: 0.1, False: math.nan}))
+    assert times.pop("mmc")[:3] == ("0.10", ("7 %",), False)
+    assert {cell[:3] for cell in times.values()} == {("–", (), False)}
+    far = rows["final_distance"].astype(float).mask(rows["agent"] == "mmc", -math.inf)
+    best = [cell.text for cell in race(results, "final_distance", far).values() if cell.best]
+    assert best and "–" not in best
 
 
 def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store, tmp_path):
