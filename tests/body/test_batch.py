@@ -36,14 +36,42 @@ def assert_equal(arms, singles):
         assert arms.end_effectors[index].tolist() == list(single.end_effector)
 
 
+CURL = np.array([[[0.0], [1.0]], [[-1.0], [0.0]]])
+
+
+def tuples(values):
+    """Return nested tuples of the arrays along the last axis."""
+    return values if values.ndim == 1 else tuple(map(tuples, values))
+
+
+def drawn(parameters, random, count):
+    """Parameters in which arms differ, as columns and as those of each arm."""
+    values = {
+        "segment_lengths": random.uniform(0.5, 1.5, (3, count)),
+        "hand_mass": random.uniform(0, 2, count),
+        "gravity": random.uniform(-30, 30, (2, count)),
+        "speed_limit": random.uniform(3, 7, count),
+        "torque_limit": random.uniform(200, 700, count),
+        "servo_gain": random.uniform(4, 14, count),
+        "force_field": CURL * random.uniform(-30, 30, count) * random.integers(0, 2),
+        "lockable_joints": random.integers(0, 3, (1, count)),
+    }
+    if parameters.joint_limits:
+        values["joint_limits"] = random.uniform(1, 2, (3, 2, count)) * [[-1], [1]]
+    columns = ArmColumns.of(parameters)
+    columns = replace(columns, **{name: tuples(value) for name, value in values.items()})
+    rows = [{k: value[..., row].tolist() for k, value in values.items()} for row in range(count)]
+    return columns, [replace(parameters, **row) for row in rows]
+
+
 @pytest.fixture
 def play_both(postures, scale):
     """A random schedule of commands, partial resets and locks, of arms and of single ones."""
 
-    def play(case, servo, count, steps, threads=1, alone=None):
+    def play(case, servo, count, steps, threads=1, alone=None, others=()):
         engine, parameters = case
         random = np.random.default_rng(count)
-        arms = make_arms(engine, parameters, count, servo, threads)
+        arms = make_arms(engine, parameters, count, servo, threads, others=others)
         chosen = range(count) if alone is None else alone
         singles = {index: make_arm(engine, parameters, servo) for index in chosen}
         for each in (arms, *singles.values()):
@@ -52,13 +80,14 @@ def play_both(postures, scale):
         for _ in range(steps):
             if random.random() < 0.4:
                 rows = random.permutation(count)[: random.integers(0, count + 1)]
-                places = postures(parameters, random, len(rows))
+                places = postures(parameters, random, len(rows)) / (2 if others else 1)
                 speeds = random.uniform(-3, 3, places.shape) if random.random() < 0.5 else None
-                arms.reset(places, rows, speeds)
+                new, own = drawn(parameters, random, len(rows)) if others else (None, None)
+                arms.reset(places, rows, speeds, parameters=new)
                 for row, arm in enumerate(rows):
                     if arm in singles:
                         speed = None if speeds is None else speeds[row].tolist()
-                        singles[arm].reset(places[row].tolist(), speed)
+                        singles[arm].reset(places[row].tolist(), speed, own and own[row])
                 assert_equal(arms, singles)
             if random.random() < 0.3:
                 largest = 1.2 * scale(parameters, servo) * (2 if servo == "position" else 1)
@@ -95,6 +124,14 @@ def test_every_arm_moves_as_a_single_one(case, servo, play_both):
 def test_threads_change_nothing(engine, count, made, servo, play_both):
     case = engine, ArmParameters(**made)
     play_both(case, servo, count, steps=20, threads=2, alone=(0, 13, count - 1))
+
+
+@pytest.mark.usefixtures("few_arms_in_a_space")
+@pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
+def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, servo, play_both):
+    """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
+    own = ArmParameters(**made)
+    play_both((engine, own), servo, 37, 30, others=[own, replace(own, gravity=(0.0, 30.0))])
 
 
 def test_a_whole_space_of_arms_moves_as_single_ones(play_both):
@@ -166,57 +203,3 @@ ODD_ROWS = [[4], [-1], [0, 0], [0.5], [True, False], [[0]]]
 def test_impossible_batches_and_calls_are_refused(engine, call, message):
     with pytest.raises(UserError, match=message):
         call(partial(make_arms, engine, ArmParameters()))
-
-
-CURL = np.array([[[0.0], [1.0]], [[-1.0], [0.0]]])
-
-
-@pytest.mark.usefixtures("few_arms_in_a_space")
-@pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
-def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, servo):
-    """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
-    random, count = np.random.default_rng(5), 37
-    others = [ArmParameters(**made, **other) for other in ({}, {"gravity": (0.0, 30.0)})]
-    arms = make_arms(engine, ArmParameters(**made), count, servo, others=others)
-    singles = {arm: make_arm(engine, ArmParameters(**made), servo) for arm in range(count)}
-    for step in range(30):
-        if step % 6 == 0:
-            rows = random.permutation(count)[: count if step == 0 else 9]
-            drawn = {
-                "segment_lengths": random.uniform(0.5, 1.5, (3, len(rows))),
-                "hand_mass": random.uniform(0, 2, len(rows)),
-                "gravity": random.uniform(-30, 30, (2, len(rows))),
-                "speed_limit": random.uniform(3, 7, len(rows)),
-                "torque_limit": random.uniform(200, 700, len(rows)),
-                "servo_gain": random.uniform(4, 14, len(rows)),
-                "force_field": CURL * random.uniform(-30, 30, len(rows)) * (step > 10),
-                "lockable_joints": random.integers(0, 3, (1, len(rows))),
-            }
-            if made:
-                drawn["joint_limits"] = random.uniform(1, 2, (3, 2, len(rows))) * [[-1], [1]]
-            columns = replace(
-                ArmColumns.of(arms.parameters), **{k: tuples(v) for k, v in drawn.items()}
-            )
-            angles = random.uniform(-1, 1, (len(rows), 3))
-            arms.reset(angles, rows, parameters=columns)
-            for row, arm in enumerate(rows.tolist()):
-                own = {name: value[..., row].tolist() for name, value in drawn.items()}
-                own = replace(ArmParameters(**made), **own)
-                singles[arm].reset(angles[row].tolist(), parameters=own)
-        values = random.uniform(-2, 2, (count, 3)) * (300 if servo == "torque" else 1)
-        arms.command(values)
-        if step % 4 == 3:
-            arms.lock([1, 2, 30])
-            for arm in (1, 2, 30):
-                singles[arm].lock()
-        for arm, single in singles.items():
-            single.command(values[arm].tolist())
-            single.step()
-        arms.step()
-        assert_equal(arms, singles)
-
-
-def tuples(values):
-    """Return nested tuples of the arrays along the last axis."""
-    return values if values.ndim == 1 else tuple(map(tuples, values))

@@ -132,6 +132,7 @@ def step(state, shown, chain, no_work, substeps):
         first = block * arms.angle.shape[1]
         lanes = min(arms.angle.shape[1], shown.shape[0] - first)
         _look(arms, work, lanes)
+        work.push_x[:] = work.push_y[:] = work.push_turn[:] = 0.0  # of another block, with a field
         for _ in range(substeps):
             _move(arms, work, c, lanes)
             if c.has_field > 0.0:
