@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require, require_choice, require_whole
-from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -190,9 +190,7 @@ class ArmBatch(ABC):
             else:
                 new = [(chosen[[row]], p) for row, p in enumerate(parameters)]
         for some, p in new:
-            self._lockable[some] = False
-            for joint in p.lockable_joints:
-                self._lockable[some, joint] = True
+            self._lockable[some] = ArmColumns.of(p).lockable(len(some))
         self._place(chosen, postures, speeds, new)
 
     def command(self, values: ArrayLike) -> None:

@@ -208,7 +208,10 @@ def _is_range(numbers: tuple[float, ...]) -> bool:
 
 
 class ArmColumns(ArmParameters):
-    """Parameters of k arms of N segments: any number may be an array (k,), and none is checked."""
+    """Parameters of k arms of N segments: any number may be an array (k,), and none is checked.
+
+    Where a joint of `lockable_joints` is NaN, the arm has no such joint.
+    """
 
     @classmethod
     def of(cls, arm: ArmParameters) -> ArmColumns:
@@ -218,6 +221,15 @@ class ArmColumns(ArmParameters):
     def __post_init__(self) -> None:
         """Leave the numbers as they are."""
 
+    def lockable(self, count: int) -> NDArray[np.bool_]:
+        """Return which joints of `count` arms are among `lockable_joints`, (count, N)."""
+        found = np.zeros((count, len(self.segment_lengths)), dtype=bool)
+        for joint in self.lockable_joints:
+            joints = np.broadcast_to(joint, count)
+            arms = np.flatnonzero(joints == joints)  # NaN is none
+            found[arms, joints[arms].astype(np.intp)] = True
+        return found
+
     def rows(self, count: int) -> list[ArmColumns]:
         """Return the parameters of each of `count` arms, as numbers."""
         values = {one.name: getattr(self, one.name) for one in fields(ArmParameters)}
@@ -226,7 +238,10 @@ class ArmColumns(ArmParameters):
         for arm in range(count):
             row = copy(self)
             for name, value in vary.items():
-                object.__setattr__(row, name, _of_arm(value, arm))
+                own = _of_arm(value, arm)
+                if name == "lockable_joints":
+                    own = tuple(int(joint) for joint in own if not math.isnan(joint))
+                object.__setattr__(row, name, own)
             rows.append(row)
         return rows
 

@@ -325,8 +325,8 @@ def of_many(one: Perturbation, count: int) -> Any:
 
 
 def of_some(many: Any, arms: Any) -> Any:
-    """Return the perturbations of some of the arms."""
-    return _mapped(many, lambda value: value[arms])
+    """Return the perturbations of some of the arms; numbers in them are those of all."""
+    return _mapped(many, lambda value: value[arms] if isinstance(value, np.ndarray) else value)
 
 
 def write(many: Any, arms: NDArray[np.intp], new: Any) -> None:

@@ -201,6 +201,8 @@ class LockedJoint(Perturbation):
     joint: int = 1  #: index of the joint, from the base outward
     time: float = 0.0  #: when it locks, s after the start; the same for all joints that lock
     known: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
+    neutral = {"shown": 0.0}
+    shown = 1.0  # or 0 for no lock; of many arms an array
 
     def __post_init__(self) -> None:
         require_between(0, LONGEST, time=self.time)
@@ -208,6 +210,10 @@ class LockedJoint(Perturbation):
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         joint = _index("joint", self.joint, len(body.segment_lengths))
+        if np.ndim(self.shown):
+            joint = np.where(self.shown, joint, np.nan)
+        elif not self.shown:
+            return body
         return replace(body, lockable_joints=(*body.lockable_joints, joint))
 
 
@@ -261,7 +267,7 @@ class Cursor(Perturbation, ABC):
         """Return where the cursor is for a hand at (x, y)."""
 
     def hand(self, x: Any, y: Any) -> Place:
-        """Return where the hand is for a cursor at (x, y), which is the target."""
+        """Return where the hand is for a cursor at the target (x, y): numbers, or arrays."""
         return x, y
 
     def farthest(self, reach: float) -> float:
@@ -647,7 +653,7 @@ class Timed(Perturbation):
     def __post_init__(self) -> None:
         require_between(0, LONGEST, at=self.at, over=self.over)
         neutral = getattr(self.perturbation, "neutral", {})
-        if isinstance(self.perturbation, Gravity | SegmentLength):
+        if isinstance(self.perturbation, Gravity | SegmentLength | LockedJoint):
             neutral = {}
         accepted = "one that can begin within an episode (cursors, senses, loads, force fields)"
         require(bool(neutral), "perturbation", self.perturbation, accepted)

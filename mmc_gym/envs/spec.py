@@ -99,6 +99,7 @@ class Episodes(NamedTuple):
     parts: list[Perturbation]  #: that disturb the senses, as of `ReachSetup`
     cursor: Cursor | None  #: in the end
     lock_steps: Any  #: control steps after which joints lock, or -1
+    locked: NDArray[np.bool_] | None  #: joints that are locked from the start, (k, N), if any
 
 
 class State(NamedTuple):
@@ -185,7 +186,7 @@ class ReachSetup:
         self.frame_rate = round(1 / self.given_body.control_step)
         self.task.check(self.workspace)
         self.steps_lock = self.lock_steps > 0  #: whether joints may lock within an episode
-        #: whether `workspace.draw_pairs` can draw many trials at once
+        #: whether many trials can be drawn at once
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")
         self.path_length = 0  #: number of places on the path of the target
@@ -281,7 +282,11 @@ class ReachSetup:
 
     def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
         """Return what k arms have drawn, from (k, m) numbers, as arrays."""
-        assert self.draws is not None
+        if self.draws is None:
+            locked = np.zeros((len(numbers), self.joint_count), dtype=bool)
+            locked[:, self.workspace.locked] = True
+            some = locked if self.workspace.locked else None
+            return Episodes(None, self.ring, self.parts, self.cursor, self.lock_steps, some)
         parts = self.draws.perturbations(numbers)
         senses = [self._placed(one) for one in senses_of(parts)]
         cursor = self.disturbance(_AT_LAST, senses).cursor
@@ -290,8 +295,14 @@ class ReachSetup:
         if self.arms_differ:
             body = self._drawn_body(parts)
             ring = rings(body.segment_lengths, self.given_body.segment_lengths)
-        times = [one.time for one in parts if isinstance(one, LockedJoint)]
-        return Episodes(body, ring, senses, cursor, self._in_steps(times[0]) if times else -1)
+        lock_steps: Any = -1
+        for one in parts:
+            if isinstance(one, LockedJoint):
+                steps = self._in_steps(one.time)
+                lock_steps = np.maximum(lock_steps, np.where(one.shown, steps, -1))
+        locked = ArmColumns.of(body or self.body).lockable(len(numbers))
+        locked &= np.reshape(lock_steps == 0, (-1, 1))
+        return Episodes(body, ring, senses, cursor, lock_steps, locked if locked.any() else None)
 
     def _disturb_senses(self, changes: Sequence[Change], timed: Sequence[Timed]) -> None:
         """Find out what disturbs the senses with all perturbations at their full strength."""
@@ -390,7 +401,8 @@ class ReachSetup:
                     self.given_body = _changed(one, self.given_body)
         else:
             self.body = self._drawn_body(self.perturbations)
-        times = {one.time for one in self.perturbations if isinstance(one, LockedJoint)}
+        locks = [one for one in self.perturbations if isinstance(one, LockedJoint)]
+        times = {one.time for one in locks if one.shown}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         #: control steps after which joints lock, or None

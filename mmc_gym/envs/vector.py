@@ -24,6 +24,7 @@ from mmc_gym._errors import (
 )
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
+from mmc_gym.body.parameters import stacked
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.drawn import of_many, of_some, write
 from mmc_gym.envs.reach import GoalEnvironment, HandSight, Info, reward_and_info, with_context
@@ -36,7 +37,13 @@ from mmc_gym.envs.spec import (
     ReachSetup,
     State,
 )
-from mmc_gym.envs.workspace import distances, pairs_from, uniform_numbers
+from mmc_gym.envs.workspace import (
+    MOST_TARGETS,
+    distances,
+    places_from,
+    targets_from,
+    uniform_numbers,
+)
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
@@ -95,6 +102,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         first = np.zeros((1, 0)) if setup.draws is None else setup.draws.samples()[:1]
         self._numbers = np.tile(first, (num_envs, 1))
         self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
+        self._context: dict[str, Any] = {}  # of all arms, if it is known
         self._parts = [of_many(one, num_envs) for one in setup.parts] if setup.draws else []
         self._disturbance: Disturbance | None = None  # of all arms, if it is known
         self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
@@ -108,7 +116,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         # Observations on their way, oldest first: that one is shown.
         plain = setup.plain_space
-        self._late = [create_empty_array(plain, num_envs) for _ in range(setup.delay + 1)]
+        self._newest = 0  # place of the newest observation in `_line`, which holds those of `_late`
+        self._delay_by([create_empty_array(plain, num_envs)], setup.delay)
         # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
         self._sights = np.zeros((setup.vision_delay + 1, num_envs, 2, 2))
         self._hand_sight = HandSight(num_envs, setup.unperturbed.control_step)
@@ -186,7 +195,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             observation, rewards, info = self._look()
         if self.setup.steps_lock:
             self._body.lock(np.flatnonzero((self._steps == self._lock_steps) & (self._steps > 0)))
-        self._late = [*self._late[1:], observation]
+        self._send(observation)
         if len(waiting):
             self._show_start(waiting, pick(observation, waiting))
             rewards[waiting] = 0.0
@@ -228,8 +237,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             setup,
             setup.draws,
         )
-        for _ in range(setup.delay + 1 - len(self._late)):
-            self._late.insert(0, deepcopy(self._late[0]))
+        self._delay_by(self._late, setup.delay)
         more = setup.vision_delay + 1 - len(self._sights)
         self._sights = np.concatenate([self._sights[:1]] * max(more, 0) + [self._sights])
 
@@ -270,11 +278,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
             numbers = setup.draws.set(setup.draws.numbers(uniform[:, :count]), context)
             self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
+            self._context = {}
             is_alone |= setup.draws.are_alone(numbers)
-        if together:
-            self._place_many(arms, uniform[:, count:])
-        elif len(rows := np.flatnonzero(~is_alone)):
-            self._place_many(arms[rows], uniform_numbers([randoms[row] for row in rows], more))
+        if len(rows := np.flatnonzero(~is_alone)):
+            some = [randoms[row] for row in rows]
+            own = uniform[:, count:] if together else uniform_numbers(some, more)
+            is_alone[rows] = ~self._place_many(arms[rows], some, own)
         if len(rows := np.flatnonzero(is_alone)):
             self._place_each(arms[rows], [randoms[row] for row in rows], options)
         self._load(arms, np.zeros_like(arms))
@@ -287,17 +296,30 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.setup.vision_delay:
             self._sights[:, arms] = self._sight(arms)
 
-    def _place_many(self, arms: Indices, uniform: Floats) -> None:
-        """Draw a trial for each of these arms, all at once, from uniform numbers, (k, N + 2)."""
-        setup, body = self.setup, None
-        ring, cursor = setup.ring, setup.cursor
-        if setup.draws is not None:
-            drawn = setup.episodes(self._numbers[arms])
-            body, ring, cursor = drawn.body, drawn.ring, drawn.cursor
+    def _place_many(self, arms: Indices, randoms: Randoms, uniform: Floats) -> Bools:
+        """Draw a trial for each of these arms, all at once.
+
+        The first numbers of their generators are `uniform`, (k, N + 2).  Return which have found a
+        target; the generators of the others are as before.
+        """
+        drawn, count = self.setup.episodes(self._numbers[arms]), self.setup.joint_count
+        if self.setup.draws is not None:
             self._begin(arms, drawn)
-        postures, self._paths[arms, 0] = pairs_from(uniform, ring, cursor)
+        lengths = stacked((drawn.body or self.setup.body).segment_lengths)
+        postures, places = places_from(uniform[:, :count], drawn.ring, lengths, drawn.locked)
+        left, numbers = np.arange(len(arms)), uniform[:, count:]
+        for tried in range(1, MOST_TARGETS + 1):
+            cursor = drawn.cursor and of_some(drawn.cursor, left)
+            self._paths[arms[left], 0], fine = targets_from(numbers, places[left], cursor)
+            left = left[~fine]
+            if not len(left) or tried == MOST_TARGETS:
+                break
+            numbers = uniform_numbers([randoms[row] for row in left], 2)
+        for row in left:
+            randoms[row].bit_generator.advance(-count - 2 * MOST_TARGETS)  # type: ignore[attr-defined]
         self._last_places[arms] = 0
-        self._body.reset(postures, arms, parameters=body)
+        self._body.reset(postures, arms, parameters=drawn.body)
+        return ~np.isin(np.arange(len(arms)), left)
 
     def _place_each(self, arms: Indices, randoms: Randoms, options: Options) -> None:
         """Draw a trial for each of these arms, one by one."""
@@ -417,7 +439,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
         """Return what these arms observe, noise and late sight included; complete `info`."""
         if self._draws is not None:
-            info["context"] = self._draws.context(self._numbers[arms])
+            self._context = self._context or self._draws.context(self._numbers)
+            info["context"] = {name: one[arms].copy() for name, one in self._context.items()}
         if self.setup.cursor is not None:
             info["cursor"] = hands
         if self.setup.channel is not None:
@@ -459,7 +482,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _shown(self) -> Any:
         """Return what `step` shows."""
         arrived = self._arrived()
-        return self._with_context(deepcopy(arrived) if self._copy else arrived)
+        is_kept = self._copy and arrived is self._late[0]
+        return self._with_context(deepcopy(arrived) if is_kept else arrived)
 
     def _with_context(self, observation: Any) -> Any:
         """Return the observations of all arms with the context, if that is shown."""
@@ -468,13 +492,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _arrived(self) -> Any:
         """Return what arms see now: the last observation, or one of some control steps ago."""
         late = self._now(_EVERY).delay
-        if isinstance(late, np.ndarray):
-            shown = deepcopy(self._late[-1])
-            for steps in np.unique(late[late > 0]).tolist():
-                arms = np.flatnonzero(late == steps)
-                put(shown, arms, pick(self._late[-1 - steps], arms))
-            return shown
-        return self._late[0]
+        if not isinstance(late, np.ndarray) or len(self._late) == 1:
+            return self._late[0]
+        slots, arms, _ = self._line.shape
+        rows = (self._newest - late) % slots * arms + self._all
+        return self._line.reshape(slots * arms, -1).take(rows, axis=0)
 
     def _seen_hands(self, arms: Indices | slice) -> Floats:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
@@ -496,6 +518,22 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._disturbance = self._disturbance or setup.disturbance(self._steps, parts)
             return self._disturbance
         return setup.disturbance(self._steps[arms], parts)
+
+    def _delay_by(self, late: list[Any], steps: int) -> None:
+        """Make room for a delay, at least; the oldest of the present observations stays longer."""
+        self._late = [late[0]] * (steps + 1 - len(late)) + late
+        if len(self._late) > 1:  # of a goal environment, whose observations are dicts, there is one
+            self._line, self._newest = np.stack(self._late), len(self._late) - 1
+            self._late = [*self._line]
+
+    def _send(self, observation: Any) -> None:
+        """Let this observation be the newest on its way."""
+        oldest = self._late.pop(0)
+        if self._late and observation is not oldest:
+            oldest[...] = observation
+            observation = oldest
+        self._late.append(observation)
+        self._newest = (self._newest + 1) % len(self._late)
 
     def _sight(self, arms: Indices | slice) -> Floats:
         """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""

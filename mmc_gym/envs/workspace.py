@@ -23,7 +23,7 @@ Point = tuple[float, float]
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
 _CELLS = 60  # grid cells across the reach, where joint limits shape the reachable set
-_MOST_POSTURES, _MOST_TARGETS = 10_000, 100
+_MOST_POSTURES, MOST_TARGETS = 10_000, 100
 
 
 class NoTarget(UserError):
@@ -136,7 +136,7 @@ class Workspace:
         cell.  With locked joints and joint limits they are hands of uniform postures.  `NoTarget`
         is raised if none is found.
         """
-        for _ in range(_MOST_TARGETS):
+        for _ in range(MOST_TARGETS):
             target = hand = self._draw_hand(random, posture)
             if self.cursor is not None:
                 target = self.cursor.cursor(*hand, hand)
@@ -155,18 +155,11 @@ class Workspace:
 
     @property
     def is_ring(self) -> bool:
-        """Whether all postures are possible and reach all targets between two radii."""
-        cursor = self.cursor
-        is_turn = cursor is None or (cursor.centre == (0.0, 0.0) and cursor.keeps_distance)
-        return is_turn and not (self.locked or self.body.joint_limits or self.body.obstacles)
-
-    def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
-        """Draw joint angles, (k, N), and targets, (k, 2), from k generators; requires `is_ring`.
-
-        They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
-        """
-        uniform = uniform_numbers(randoms, len(self.body.segment_lengths) + 2)
-        return pairs_from(uniform, (self.inner, self.outer), self.cursor)
+        """Whether all postures are possible, and hands are drawn between two radii."""
+        body, cursor = self.body, self.cursor
+        is_turn = cursor is not None and cursor.centre == (0.0, 0.0) and cursor.keeps_distance
+        is_free = self._at_all_times is None or (is_turn and not self.locked)
+        return is_free and not body.joint_limits and not body.obstacles
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:
@@ -227,10 +220,7 @@ class Workspace:
 
     def _rigid_pieces(self, posture: Sequence[float]) -> tuple[Point, list[float]]:
         """Return the first free joint, and the lengths of the rigid pieces beyond it."""
-        nodes = self._nodes(posture)
-        free = [joint for joint in range(len(posture)) if joint not in self.locked]
-        ends = [nodes[joint] for joint in free] + [nodes[-1]]
-        return ends[0], [math.dist(start, end) for start, end in pairwise(ends)]
+        return _pieces_of(self._nodes(posture), self.locked)
 
     def _is_in_ring(self, point: Point) -> bool:
         slack = REACH_TOLERANCE * self.outer
@@ -245,23 +235,61 @@ def uniform_numbers(randoms: Sequence[np.random.Generator], count: int) -> NDArr
     return numbers
 
 
-def pairs_from(
-    uniform: Floats, ring: tuple[Any, Any], cursor: ShownHand | None
+def places_from(
+    uniform: Floats, ring: tuple[Any, Any], lengths: Floats, locked: NDArray[np.bool_] | None
 ) -> tuple[Floats, Floats]:
-    """Return postures, (k, N), and targets, (k, 2), of uniform numbers, (k, N + 2).
+    """Return postures, (k, N), of uniform numbers (k, N), and where the hands can be then.
 
-    Targets are between the two radii of a ring, numbers or (k,), or where the cursor of a hand
-    there is.
+    That is between two radii about a place, and between the two of the ring about the base: x, y
+    and the radii, (k, 6).  Radii of the ring are numbers or (k,), `lengths` of segments (N,) or
+    (k, N), and joints that are `locked` from the start (k, N); None if there are none.
     """
-    count, (inner, outer) = uniform.shape[1] - 2, ring
-    postures = -math.pi + math.tau * uniform[:, :count]
+    postures = -math.pi + math.tau * uniform
+    places = np.zeros((len(postures), 6))
+    places[:, 2:4] = places[:, 4:] = np.transpose(np.broadcast_arrays(*ring))
+    if locked is not None:
+        nodes = node_positions(segments_from_joint_angles(postures, lengths)).tolist()
+        for row in np.flatnonzero(locked.any(axis=-1)).tolist():
+            base, pieces = _pieces_of(nodes[row], np.flatnonzero(locked[row]).tolist())
+            places[row, :4] = (*base, *reachable_radii(pieces)) if pieces else np.nan
+    return postures, places
+
+
+def targets_from(
+    uniform: Floats, places: Floats, cursor: ShownHand | None
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return targets, (k, 2), of uniform numbers (k, 2), and which of them can be reached, (k,).
+
+    Hands are area-uniform in their `places`, see `places_from`; with a cursor, targets are there.
+    """
+    base, inner, outer = places[:, :2].T, places[:, 4], places[:, 5]
+    hands: Any = base + _points_from(uniform, places[:, 2], places[:, 3])
+    targets: Any = hands
+    fine, slack = np.ones(len(places), dtype=bool), REACH_TOLERANCE * outer
+    if cursor is not None:
+        x, y = hands
+        targets = cursor.cursor(x, y, (x, y))
+        hands = cursor.hand(*targets)
+    for x, y in (targets, hands) if cursor is not None or base.any() else ():
+        # Not numpy's root, which may differ in the last bit.
+        radii = np.array([*map(math.hypot, x.tolist(), y.tolist())])
+        fine &= (inner - slack <= radii) & (radii <= outer + slack)
+    return np.stack(targets, axis=-1), fine
+
+
+def _pieces_of(nodes: Sequence[Any], locked: Sequence[int]) -> tuple[Any, list[float]]:
+    """Return the first free joint, and the lengths of the rigid pieces beyond it."""
+    ends = [node for joint, node in enumerate(nodes) if joint not in locked]
+    return ends[0], [math.dist(start, end) for start, end in pairwise(ends)]
+
+
+def _points_from(uniform: Floats, inner: Any, outer: Any) -> tuple[Floats, Floats]:
+    """Return points between radii, x and y (k,), of uniform numbers (k, 2)."""
     inner_square = inner * inner
-    radii = np.sqrt(inner_square + (outer * outer - inner_square) * uniform[:, count])
-    angles = (-math.pi + math.tau * uniform[:, count + 1]).tolist()
+    radii = np.sqrt(inner_square + (outer * outer - inner_square) * uniform[:, 0])
+    angles = (-math.pi + math.tau * uniform[:, 1]).tolist()
     # Not numpy's cosine, which may differ in the last bit.
-    x, y = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
-    targets = (x, y) if cursor is None else cursor.cursor(x, y, (x, y))
-    return postures, np.stack(targets, axis=-1)
+    return radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
 
 
 def rings(lengths: Sequence[Any], given: Sequence[float]) -> tuple[Any, Any]:

@@ -33,9 +33,10 @@ RANGES = ["rotation--60..60-at-0.1-over-0.1"] + [
 ]
 MIXTURES = [
     ["longer--30..35", "hand-mass-0..3", "rotation--60..60", "delay-0..160", "joint-noise"],
-    ["gravity-0..60", "force-field--20..20", "locks-1..3", "vision-noise-0..0.05"],
+    ["gravity-0..60", "force-field--20..20", "locks-1..3", "vision-noise-0..0.05", "delay-0..8"],
     [OneOf("rotation--60..60", VisuomotorRotation(30.0), None, weights=(1, 2, 3)), "shorter-20"],
     [OneOf("locked-1..2", HandMass(uniform(0, 3)), None), VisuomotorRotation(norm(0, 20))],
+    [OneOf("locked-1..3", "locks-1..3", "gain-0.5..2", "force-field-0..60"), "longer--30..35"],
     [OneOf(JointNoise(uniform(0, 0.1)), VisionNoise(0.05), None), "vision-delay-0..80"],
     [SegmentLength(uniform(0.7, 0.6), segment=0), LockedJoint(randint(0, 3), uniform(0.1, 0.2))],
     [OneOf("no-feedback", "endpoint-feedback-at-0.1", None), "vision-delay-0..60"],

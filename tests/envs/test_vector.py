@@ -44,6 +44,8 @@ VARIANTS = [
     ("longer-50", {}),
     ("locked", {}),
     ("locks", {}),
+    ("shorter-50+locked+gain-1.4", {}),
+    ("locked-1+locked-2+locked-3", {}),
     ("joint-noise-speed+vision-noise-distance", {}),
     ("delay-40", {}),
     ("double-step-100+vision-delay-60", {}),
