@@ -214,9 +214,6 @@ SINGLE = (
     Entry(OURS, "a new one each episode", partial(rebuilt, OURS, "longer", -30.0, 35.0)),
 )
 
-# Each episode draws its own strength; to compare with the same engine without perturbations.
-DRAWN = {"drawn lengths": "longer--30..35", "drawn rotations": "rotation--60..60"}
-
 VECTOR = (
     _vector_entry(PEER, "sync", 64, "sync"),
     _vector_entry(PEER, "async", 64, "async"),
@@ -232,14 +229,34 @@ VECTOR = (
         for arms in (256, 4096)
         for threads in (1, 2)
     ),
-    *(
-        _native_entry(f"native, {engine}, {name}", arms, 1, engine=engine, perturbations=drawn)
-        for name, drawn in DRAWN.items()
-        for engine, arms in (("pymunk", 256), ("analytic", 4096))
-    ),
 )
 
 ENGINES = ("pymunk", "analytic")
+
+# Families, their range, and strengths that all arms have instead.
+DRAWN = (
+    ("longer", "-30..35", (-20, 0, 20)),
+    ("hand-mass", "0..10", (2, 5, 8)),
+    ("force-field", "0..60", (10, 30, 50)),
+    ("gravity", "0..120", (20, 60, 100)),
+    ("locked", "1..3", (1, 2, 3)),
+    ("locks", "1..3", (1, 2, 3)),
+    ("rotation", "-60..60", (-40, 5, 40)),
+    ("gain", "0.7..1.4", (0.8, 1.05, 1.3)),
+    ("delay", "0..160", (20, 80, 140)),
+    ("joint-noise", "0..0.05", (0.01, 0.025, 0.04)),
+)
+
+
+def drawn_entries(engine: str, arms: int) -> dict[str, Entry]:
+    """Return arms without perturbations (""), with each drawn, and with each of its strengths."""
+    names = [f"{name}-{one}" for name, drawn, fixed in DRAWN for one in (drawn, *fixed)]
+    entries = {name: {"perturbations": name} for name in names}
+    return {
+        name: _native_entry(name, arms, 1, engine=engine, **made)
+        for name, made in {"": {}, **entries}.items()
+    }
+
 
 GROWTH = tuple(
     _native_entry(engine, arms, threads, engine=engine)

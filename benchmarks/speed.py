@@ -28,6 +28,7 @@ from gymnasium.error import DependencyNotInstalled
 from history import Run, SpeedRow, losses, now, read_runs, write_run
 from numpy.typing import NDArray
 from peers import (
+    DRAWN,
     ENGINES,
     GROWTH,
     OURS,
@@ -38,6 +39,7 @@ from peers import (
     WHAT_THEY_SIMULATE,
     Entry,
     Player,
+    drawn_entries,
 )
 from rich.console import Console
 from rich.table import Table
@@ -62,6 +64,7 @@ class Arguments:
         rounds: rounds, in each of which every environment has one turn.
         seconds: a turn is as many episodes as fit into this time, at least one.
         growth_rounds: rounds for the numbers of arms; 0 leaves them out.
+        drawn_rounds: rounds for strengths that each episode draws; 0 leaves them out.
         out: folder of all runs.
         check: whether to fail on a loss of speed since the runs before.
     """
@@ -69,6 +72,7 @@ class Arguments:
     rounds: int = 10
     seconds: float = 0.06
     growth_rounds: int = 3
+    drawn_rounds: int = 3
     out: Path = Path("runs/speed")
     check: bool = False
 
@@ -153,6 +157,26 @@ def growth_table(times: Times) -> Table:
                 f"{size / 1024:.1f}" if one.arms >= 256 else "",  # few arms vanish in a page
             )
             table.add_row(engine, f"{one.arms:,}", *numbers, end_section=both is two[-1])
+    return table
+
+
+def drawn_table(rounds: int, console: Console) -> Table:
+    """Make the table of arms whose strengths each episode draws, beside arms that have equal ones.
+
+    The time of these is the mean of those with three strengths, since a strength may be slower.
+    """
+    headings = ("µs per step", "with equal strengths", "without perturbations")
+    title = "native, strengths drawn for each episode; speed relative to arms"
+    table = empty_table(title, ("engine", "perturbation"), headings)
+    for engine, arms in zip(ENGINES, (256, 4096), strict=True):
+        entries = drawn_entries(engine, arms)
+        found = seconds_per_step(make_all(entries.values(), console), rounds, 0.02)
+        for name, drawn, strengths in DRAWN if found else ():
+            own = found[entries[f"{name}-{drawn}"]]
+            equal = np.mean([found[entries[f"{name}-{one}"]] for one in strengths], axis=0)
+            compared = (f"{np.median(one / own):.2f}" for one in (equal, found[entries[""]]))
+            microseconds = f"{np.median(own) * 1e6 * arms:.0f}"
+            table.add_row(f"{engine}, {arms:,} arms", f"{name}-{drawn}", microseconds, *compared)
     return table
 
 
@@ -301,6 +325,8 @@ def main(arguments: Arguments) -> None:
     if arguments.growth_rounds:
         made = make_all(GROWTH, console)
         console.print(growth_table(seconds_per_step(made, arguments.growth_rounds, 0.02)))
+    if arguments.drawn_rounds:
+        console.print(drawn_table(arguments.drawn_rounds, console))
     file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
     runs = read_runs(arguments.out)
     console.print(f"wrote {file}; {len(runs)} runs are there")

@@ -5,10 +5,12 @@ import subprocess
 import sys
 import tarfile
 import zipfile
-from importlib.metadata import version
+from importlib.metadata import requires, version
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,6 +42,24 @@ def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
         "import gymnasium; gymnasium.make('MMCReach-v0').reset()"
     )
     assert HEAVY.isdisjoint(loaded.splitlines()[0].split())
+
+
+def test_import_loads_few_modules_and_lines_of_ours():
+    shown = run_python(
+        "import sys, mmc_gym\n"
+        "print(*(one.__file__ for name, one in sys.modules.items() if name.startswith('mmc_gym')))"
+    )
+    loaded = [Path(path).read_text("utf-8") for path in shown.split()]
+    assert len(loaded) <= 25
+    assert sum(text.count("\n") for text in loaded) <= 5000
+
+
+def test_every_requirement_is_pinned_exactly():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"==[\w.]+", str(pin.specifier)) for pin in pins)
+    needed = {canonicalize_name(Requirement(line).name) for line in requires("mmc-gym") or []}
+    assert needed <= {canonicalize_name(pin.name) for pin in pins}
 
 
 def test_what_needs_numba_says_how_to_get_it():
