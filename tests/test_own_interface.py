@@ -62,7 +62,7 @@ class DrawerInterface(ReachInterface):
 
 INTERFACE = DrawerInterface(LENGTHS, "joint_position", 5.0, 50.0, 0.02, success_distance=0.1)
 STATES_NO_DISTANCE = replace(INTERFACE, success_distance=None)
-LIMITED = replace(INTERFACE, joint_limits=((-2.0, 2.0), (-2.5, 2.5)))
+LIMITED = replace(INTERFACE, joint_limits=((-2.0, 2.0), (-np.inf, 2.5)))
 
 
 def changed(seen=lambda seen: seen, action=lambda action: action, **fields):

@@ -311,7 +311,7 @@ def _joined(found: Iterable[pa.Table]) -> pd.DataFrame:
 
 
 class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, ser_json_inf_nan="constants")
 
 
 class Policy(_Frozen):
