@@ -27,11 +27,11 @@ _ASCII = str.maketrans(
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return an output, as wide as the terminal or COLUMNS says, 120 columns otherwise."""
+    """Return a console, as wide as the terminal or COLUMNS says; `WIDTH` without, or if too few."""
     console = Console(stderr=stderr)
     has_width = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
-    fits = has_width and console.width >= _NARROWEST
-    return console if fits else Console(stderr=stderr, width=WIDTH)
+    is_wide_enough = has_width and console.width >= _NARROWEST
+    return console if is_wide_enough else Console(stderr=stderr, width=WIDTH)
 
 
 def progress_bar() -> Progress:

@@ -215,15 +215,16 @@ class _Ray:
     """A Ray cluster, with the methods of `_Processes`; it repeats calls that die with a node."""
 
     def __init__(self, cluster: str, jobs: int | None) -> None:
+        """Connect to it, see `run_grid`; "ray" is the one the caller is connected to, if any."""
         import ray
 
         self._ray: Any = ray
         self._jobs = jobs
-        self._is_ours = cluster != "ray" or not ray.is_initialized()
-        if self._is_ours:
-            address = None if cluster == "ray" else cluster
+        self._connects = cluster != "ray" or not ray.is_initialized()
+        if self._connects:
+            address = None if cluster == "ray" else cluster  # None: Ray looks for one itself
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
-        self._run_packed = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_packed)
+        self._remote = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_run_packed)
 
     @property
     def room(self) -> int:
@@ -231,7 +232,7 @@ class _Ray:
         return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
 
     def submit(self, packed: bytes) -> Any:
-        return self._run_packed.remote(packed, _sources())
+        return self._remote.remote(packed, _sources())
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
@@ -244,7 +245,7 @@ class _Ray:
         for call in calls:
             with suppress(Exception):  # the error that ended the grid is the one to show
                 self._ray.cancel(call, force=True)
-        if self._is_ours:
+        if self._connects:
             self._ray.shutdown()  # ends a cluster only if it was begun here
 
 

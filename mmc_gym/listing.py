@@ -12,6 +12,7 @@ from mmc_gym._tables import Table, text_table, to_html
 from mmc_gym.agents import AGENTS, AgentEntry
 from mmc_gym.envs.drawn import EXAMPLES
 from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
+from mmc_gym.envs.perturbations import Perturbation
 from mmc_gym.envs.scenarios import Playable, Scenario, find_scenario, name_of
 from mmc_gym.envs.tasks import Task
 
@@ -177,8 +178,9 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     yield from rows
 
 
-def _about(thing: object) -> str:
-    text = inspect.getdoc(type(thing)) or ""
+def _about(described: Task | Perturbation) -> str:
+    """Return the docstring of its class in one line, without the attributes."""
+    text = inspect.getdoc(type(described)) or ""
     return " ".join(text.partition("Attributes:")[0].split())
 
 

@@ -15,7 +15,12 @@ from typing_extensions import override
 from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.agents.base import JointTargetAgent, State, where
 from mmc_gym.agents.inverse_kinematics import leave_line
-from mmc_gym.agents.planners import MovementTiming, begin, follow, step
+from mmc_gym.agents.planners import (
+    MovementTiming,
+    begin_movement,
+    follow_target,
+    one_step_later,
+)
 from mmc_gym.geometry import Floats, nearest_reachable, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import (
@@ -142,7 +147,7 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 class TimedMMCState(NamedTuple):
     """State of the agent: the network's, and the movement."""
 
-    arm: MMCState
+    arm: MMCState  # of the network, which is the internal model of the arm
     movement: MovementTiming
 
 
@@ -157,20 +162,20 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
     @override
     def start(self, sensed: Sensed) -> TimedMMCState:
         arm = self.network.state_from_joint_angles(sensed.joint_angles)
-        hand = arm.segments.sum(axis=-2)
-        return TimedMMCState(arm, begin(hand, sensed.target, self.interface.control_step))
+        control_step = self.interface.control_step
+        return TimedMMCState(arm, begin_movement(arm.end_effector, sensed.target, control_step))
 
     @override
     def advance(self, state: TimedMMCState, sensed: Sensed) -> tuple[Floats, TimedMMCState]:
         arm, iterations = state.arm, self.iterations_per_step
-        hand = arm.segments.sum(axis=-2)
-        movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
+        hand, control_step = arm.end_effector, self.interface.control_step
+        movement = follow_target(state.movement, hand, sensed.target, control_step)
         arm = bend_where_stuck(self.network, arm, self.network.inverse(movement.target))
         for iteration in range(1, iterations + 1):
             elapsed = iterations * movement.elapsed + iteration
             way = share(elapsed, iterations * movement.duration)
             arm = self._within_limits(timed_step(self.network, arm, movement.target, way))
-        return arm.joint_angles, TimedMMCState(arm, step(movement))
+        return arm.joint_angles, TimedMMCState(arm, one_step_later(movement))
 
     def _within_limits(self, arm: MMCState) -> MMCState:
         """Return the arms; joints beyond their limits are moved half of the way back."""

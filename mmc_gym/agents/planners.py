@@ -59,7 +59,7 @@ class MovementTiming(NamedTuple):
         return np.maximum(self.duration - self.elapsed, 0.0)
 
 
-def begin(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
+def begin_movement(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
     """Begin a movement of the hand to a target, (..., 2) in segment lengths."""
     way = target - hand
     distance = np.hypot(way[..., 0], way[..., 1])
@@ -67,7 +67,7 @@ def begin(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
     return MovementTiming(target, np.zeros_like(duration), duration)
 
 
-def follow(
+def follow_target(
     movement: MovementTiming, hand: Floats, target: Floats, control_step: float
 ) -> MovementTiming:
     """Return the movement to the present target: a new one, from the hand, if the target jumped."""
@@ -76,11 +76,12 @@ def follow(
     if not moved.any():
         return movement
     longer = np.where(moved > 0, movement.elapsed + HORIZON, 0.0)
+    new = begin_movement(hand, target, control_step)
     same = MovementTiming(target, movement.elapsed, np.maximum(movement.duration, longer))
-    return where(moved > NEW_TARGET_DISTANCE, begin(hand, target, control_step), same)
+    return where(moved > NEW_TARGET_DISTANCE, new, same)
 
 
-def step(movement: MovementTiming) -> MovementTiming:
+def one_step_later(movement: MovementTiming) -> MovementTiming:
     """Return the movement one control step later."""
     return movement._replace(elapsed=movement.elapsed + 1.0)
 
@@ -108,18 +109,17 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
     def start(self, sensed: Sensed) -> MinimumJerkState:
         hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
         plan = HandPlan(hand, np.zeros_like(hand), np.zeros_like(hand))
-        movement = begin(hand, sensed.target, self.interface.control_step)
+        movement = begin_movement(hand, sensed.target, self.interface.control_step)
         return MinimumJerkState(plan, movement, sensed.joint_angles)
 
     @override
     def advance(self, state: MinimumJerkState, sensed: Sensed) -> tuple[Floats, MinimumJerkState]:
-        plan, lengths = state.plan, self.interface.segment_lengths
-        movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
-        plan = minimum_jerk_step(plan, movement.target, movement.remaining)
-        limits = self.interface.joint_limits
-        goal, before = plan.position, state.joint_angles
-        posture = iterate(before, goal, lengths, ITERATIONS, limits, DAMPING)
-        return posture, MinimumJerkState(plan, step(movement), posture)
+        interface, hand = self.interface, state.plan.position
+        movement = follow_target(state.movement, hand, sensed.target, interface.control_step)
+        plan = minimum_jerk_step(state.plan, movement.target, movement.remaining)
+        lengths, limits = interface.segment_lengths, interface.joint_limits
+        posture = iterate(state.joint_angles, plan.position, lengths, ITERATIONS, limits, DAMPING)
+        return posture, MinimumJerkState(plan, one_step_later(movement), posture)
 
 
 def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> HandPlan:

@@ -85,17 +85,17 @@ class PolicyNetwork:
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
         """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).
 
-        They are deterministic without a generator that draws ε.  Each row is multiplied by itself:
-        sums over a whole batch round differently, and an action would depend on how many there are.
+        They are deterministic without a generator that draws ε.  Each row is multiplied alone: sums
+        over a whole batch round differently, so an action would depend on the size of the batch.
         """
         return self._act(self._normalized(features), random)
 
     def act_from(
         self, memory: Float32, features: Float32, random: np.random.Generator | None = None
     ) -> tuple[Float32, Float32]:
-        """Return what `act` does for a network with an LSTM, and its output and cell after that.
+        """Return the actions of a network with an LSTM, as `act` does, and its memory after that.
 
-        They are the memory, (..., 2, units), zeros at the start.
+        The memory is the LSTM's output and cell, (..., 2, units); zeros at the start.
         """
         output, cell = memory[..., :1, :], memory[..., 1:, :]
         gates = self._normalized(features)[..., None, :] @ self.tensors["lstm.weight_ih"].T
@@ -178,15 +178,15 @@ class History:
 
     def recall(self, now: Float32, memory: Float32) -> Float32:
         """Return what a policy sees of its memory, (..., size), given what it `observed` now."""
-        count = self.layout.joint_count
-        means = np.add.reduceat(memory, self._starts, axis=-2)
+        means = np.add.reduceat(memory, self._starts, axis=-2)  # sums of the steps of each block
         means /= np.array(self.blocks, np.float32)[:, None]
         means[..., : now.shape[-1]] -= now[..., None, :]
-        first = now[..., None, 0]
-        cosine, sine = np.cos(first), np.sin(first)
-        for x in (count, count + 2):
-            turned = turned_back(means[..., x], means[..., x + 1], cosine, sine)
-            means[..., x], means[..., x + 1] = turned
+        first_angle = now[..., None, 0]
+        cosine, sine = np.cos(first_angle), np.sin(first_angle)
+        hand = self.layout.joint_count  # column of its x; y, and the same of the target, follow
+        for x, y in ((hand, hand + 1), (hand + 2, hand + 3)):
+            turned = turned_back(means[..., x], means[..., y], cosine, sine)
+            means[..., x], means[..., y] = turned
         return means.reshape(*means.shape[:-2], self.size)
 
     @staticmethod

@@ -224,15 +224,19 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
 
 
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
+    """Return the facts kept about a cell; None if it must be played again.
+
+    It must if it is missing, damaged, of other settings, or without one of the measures.
+    """
     try:
         table, kept = _read(folder / EPISODES / key.file_name)
         if kept.facts.get("has_paths"):
-            _read(folder / PATHS / key.file_name)
+            _read(folder / PATHS / key.file_name)  # only to see that they are not damaged
     except (FileNotFoundError, UserError):
         return None
-    is_same = kept.settings == json.loads(json.dumps(settings))
-    return kept.facts if is_same and MEASURES.keys() <= set(table.column_names) else None
+    is_same = kept.settings == json.loads(json.dumps(settings))  # a file has lists for tuples
+    has_all = MEASURES.keys() <= set(table.column_names)
+    return kept.facts if is_same and has_all else None
 
 
 def kept_cells(folder: Path) -> dict[str, Kept]:

@@ -14,7 +14,13 @@ import numpy as np
 
 from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents.base import Agent, Predictor
-from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
+from mmc_gym.agents.planners import (
+    HandPlan,
+    begin_movement,
+    follow_target,
+    minimum_jerk_step,
+    one_step_later,
+)
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
 from mmc_gym.envs.names import TASKS
@@ -230,12 +236,12 @@ def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
     starts = np.stack([episode.seen_hands[0] for episode in episodes])
     plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
     control_step = episodes[0].control_step
-    movement = begin(starts, targets[0], control_step)
+    movement = begin_movement(starts, targets[0], control_step)
     hands: list[Floats] = [starts]  # at all times, (episodes, 2) each
     for target in targets[:-1]:
-        movement = follow(movement, plan.position, target, control_step)
+        movement = follow_target(movement, plan.position, target, control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
-        movement = step(movement)
+        movement = one_step_later(movement)
         hands.append(np.asarray(plan.position, dtype=np.float64))
     found = []
     for episode, path in zip(episodes, np.stack(hands, axis=1), strict=True):

@@ -251,7 +251,7 @@ class Renderer:
 
     def _paint_path(self, scene: Scene) -> None:
         """Paint where a moving target will be: dots, or faint rings joined by a thin line."""
-        canvas, target = self._canvas, tuple(scene.target)
+        canvas = self._canvas
         places = [tuple(place) for place in scene.path]
         if len(set(places)) <= 1:
             return
@@ -259,9 +259,10 @@ class Renderer:
             for place in places[:: max(1, len(places) // 160)]:
                 canvas.disc(_blend(BACKGROUND, TARGET, 0.45), place, 2)
             return
-        color, last = _blend(BACKGROUND, TARGET, 0.55), len(places) - 1 - places[::-1].index(target)
-        canvas.line(color, places[last:], 1.5)
-        for place in places[last + 1 :]:
+        color = _blend(BACKGROUND, TARGET, 0.55)
+        now = max(index for index, place in enumerate(places) if place == tuple(scene.target))
+        canvas.line(color, places[now:], 1.5)
+        for place in places[now + 1 :]:
             canvas.disc(REACHABLE, place, self._target_radius + 3)
             canvas.ring(color, place, self._target_radius + 3, 2)
 
@@ -299,9 +300,11 @@ class Renderer:
             if length != old:  # a line along the segment, and a bar across its former end
                 along_x, along_y = math.cos(angle), math.sin(angle)
                 x, y = start[0] + old * along_x, start[1] + old * along_y
-                dx, dy = 18 / canvas.pixels(1) * along_y, 18 / canvas.pixels(1) * along_x
+                half = 18 / canvas.pixels(1)
+                across_x, across_y = half * along_y, -half * along_x
                 canvas.edged_line(OUTLINE, (start, (x, y)), 2)
-                canvas.edged_line(OUTLINE, ((x - dx, y + dy), (x + dx, y - dy)), 2)
+                ends = (x - across_x, y - across_y), (x + across_x, y + across_y)
+                canvas.edged_line(OUTLINE, ends, 2)
         if body.hand_mass:
             radius = 9 * body.hand_mass ** (1 / 3)  # of a ball whose volume grows with the mass
             canvas.disc(REACHABLE, nodes[-1], radius + 2.5)
@@ -320,14 +323,16 @@ class Renderer:
             canvas.disc(REACHABLE, nodes[joint], 3)  # the keyhole
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
+        """Paint arm, hand and target as the agent observes them."""
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
-        relative = np.arctan2(seen.sines, seen.cosines)
+        joint_angles = np.arctan2(seen.sines, seen.cosines)
         lengths = setup.given_body.segment_lengths
-        nodes = _node_positions(np.cumsum(relative).tolist(), lengths)
-        points = np.stack((seen.target - seen.offset, seen.target))
+        nodes = _node_positions(np.cumsum(joint_angles).tolist(), lengths)
         self._canvas.edged_line(SENSED, nodes, 2)
-        for x, y in in_the_world(points, relative).tolist():
+        hand = seen.target - seen.offset
+        hand_and_target = np.stack((hand, seen.target))  # in the frame of the first segment
+        for x, y in in_the_world(hand_and_target, joint_angles).tolist():
             self._canvas.hollow_diamond(SENSED, (x, y), 8)
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:

@@ -123,7 +123,7 @@ class Scenario:
         env_id, arguments = self.for_gymnasium(control)
         return _gymnasium(gym.make, self.name, env_id, arguments)
 
-    def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv | None:
+    def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv:
         """Make the native vector environment, with another control mode if one is given."""
         env_id, arguments = self.for_gymnasium(control)
         made: AnyVectorEnv = gym.make_vec(env_id, num_envs=count, **arguments)

@@ -569,6 +569,7 @@ class ReachSetup:
 
 
 def _changes(perturbations: Any) -> list[Change]:
+    """Return one perturbation, or several, as a list of changes."""
     if isinstance(perturbations, str | Mapping) or not isinstance(perturbations, Sequence):
         perturbations = (perturbations,)
     return [as_change(one) for one in perturbations]
@@ -646,10 +647,12 @@ class ReachEnvironment:
 
     @property
     def context_scale(self) -> list[Any]:
-        """The perturbations on whose ranges the context is observed, by name if they have one."""
-        given = self._arguments.observe_context
-        shown = self._arguments.perturbations if given is True else given or []
-        return [*map(_by_name, _changes(shown))] if self.context_size else []
+        """The perturbations whose ranges scale the observed context; registered ones by name."""
+        if not self.context_size:
+            return []
+        shown = self._arguments.observe_context
+        scale = self._arguments.perturbations if shown is True else shown
+        return [_by_name(change) for change in _changes(scale)]
 
     @property
     def spec(self) -> EnvSpec | None:

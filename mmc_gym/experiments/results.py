@@ -285,23 +285,24 @@ def learning_figure(
 
 
 def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
+    """Draw the curves of all agents and of people, ends of blocks, and full compensation."""
     for number, (agent, settings) in enumerate(result.settings.items()):
         learning = learning_of(result.movements_of(agent))
-        look: Any = {
-            "color": COLOURS[number % len(COLOURS)],
-            "linestyle": LINES[(number + number // len(COLOURS)) % len(LINES)],
-        }
+        lap, colour = divmod(number, len(COLOURS))  # in each lap, other lines go with colours
+        line = LINES[(number + lap) % len(LINES)]
+        look: Any = {"color": COLOURS[colour], "linestyle": line}
         text = f"{agent} ({settings})" if settings else agent
         axes.plot([], [], **look, label=fill(text, _LEGEND_WIDTH))
         _draw_curve(axes, learning, look, resamples)
     if result.people is not None:
         mean = result.people.groupby("trial")["adaptation"].mean()
         axes.plot(mean.index, mean, "k.", ms=2.5, label=PEOPLE)
+    # The trials are the same for all agents: those of the last one serve.
     for begin in np.flatnonzero(np.diff(learning.blocks)) + 0.5:
         axes.axvline(begin, color="0.8", linewidth=0.8, zorder=0)
     full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)
-    line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
-    axes.step(np.arange(len(full)), full, "0.6", **line)
+    trials, label = np.arange(len(full)), "full compensation"
+    axes.step(trials, full, "0.6", where="mid", linewidth=0.8, label=label)
     is_aimed = any(one.aim for one in result.experiment.schedule)
     angle = "hand angle less the aim [°]" if is_aimed else "hand angle [°]"
     label = angle if learning.unit == "°" else "adaptation [share of the deviation]"

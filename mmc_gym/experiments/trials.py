@@ -52,7 +52,7 @@ from mmc_gym.measures.rollout import run_trial
 RECORDING = 6
 """Version of recordings; when it changes, all cells are played again."""
 
-_SPREAD = 1  # of the seeds that subjects are drawn with
+_OF_PARTS = 1  # last number of the seed by which a subject's parts are drawn
 _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
 _PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # of an `Episode`
@@ -107,8 +107,9 @@ class TrialsCell:
     @property
     def learners(self) -> list[Parts]:
         """The parts of each subject, whose rate and retention may differ."""
-        of, parts = self.subjects, Parts(**self.parts)
-        return [parts.drawn(np.random.default_rng((self.seed, one, _SPREAD))) for one in of]
+        parts = Parts(**self.parts)
+        seeds = [(self.seed, subject, _OF_PARTS) for subject in self.subjects]
+        return [parts.drawn(np.random.default_rng(seed)) for seed in seeds]
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -191,11 +192,11 @@ class _Session:
         episodes, state = run_trial(agent, env, seeds, options, state)
         for pair, episode in zip(pairs, episodes, strict=True):
             self.channel_shares[pair] = episode.channel_share
-            if aim := self.schedule[pair[1]].aim:  # the target is elsewhere
+            if aim := self.schedule[pair[1]].aim:  # what it played for is the aim, not the target
                 start, turn = episode.hands[0], math.radians(aim)
                 x, y = (episode.targets - start).T
-                way = turned_back(x, y, math.cos(turn), math.sin(turn))
-                episode = replace(episode, targets=start + np.transpose(way))
+                to_target = turned_back(x, y, math.cos(turn), math.sin(turn))
+                episode = replace(episode, targets=start + np.transpose(to_target))
             for name, attribute in _PATHS.items():
                 path = getattr(episode, attribute)
                 if name not in self.paths:

@@ -128,16 +128,16 @@ class Trajectory(NamedTuple):
     segments: Floats  #: after every iteration, (iterations, ..., N, 2)
 
     def plot(self, axes: Axes | None = None) -> Figure:
-        """Draw the first arms, later iterations darker, and the paths of their hands.
+        """Draw the first arms of the batch, later iterations darker, and the paths of their hands.
 
-        A cross marks R, which an inverse task holds at the target.  Without `axes` there is a new
-        figure.
+        A cross marks the end of each R, the vector from base to hand, which an inverse task holds
+        at the target.  Without `axes` there is a new figure.
         """
         from mmc_gym._plotting import plot_postures
 
-        segments = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
-        last = self.state.vectors[..., -1, :].reshape(-1, 2)
-        return plot_postures(node_positions(segments), last, axes)
+        arms = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
+        base_to_hand = self.state.vectors[..., -1, :].reshape(-1, 2)
+        return plot_postures(node_positions(arms), base_to_hand, axes)
 
 
 @spelt
@@ -339,21 +339,22 @@ class MMCNetwork:
         if target.tobytes() == values[hand].tobytes():  # the target is not new
             return values
         lengths, first = self.segment_lengths, values[0]
-        least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
-        is_straight = _are_in_line(first, values[1:count], least)
+        tolerance = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
+        is_straight = _are_in_line(first, values[1:count], tolerance)
         if not is_straight.any():
             return values
         target = nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
         is_away = np.hypot(way[..., 0], way[..., 1]) > 1e-3 * sum(lengths)
-        is_stuck = is_straight & _are_in_line(first, clamped, least) & is_away
+        is_stuck = is_straight & _are_in_line(first, clamped, tolerance) & is_away
         bent = self.state_from_joint_angles(MMCState(values, count).joint_angles + chain.BEND)
         return np.where(is_stuck, bent.values, values)
 
 
-def _are_in_line(first: Floats, others: Floats, least: float) -> NDArray[np.bool_]:
-    across = np.abs(first[0] * others[:, 1] - first[1] * others[:, 0])
-    in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
+def _are_in_line(first: Floats, others: Floats, tolerance: float) -> NDArray[np.bool_]:
+    """Return whether the cross products of a vector (2, ...) with others (rows, 2, ...) are 0."""
+    cross = np.abs(first[0] * others[:, 1] - first[1] * others[:, 0])
+    in_line: NDArray[np.bool_] = (cross <= tolerance).all(axis=0)
     return in_line
 
 

@@ -147,7 +147,10 @@ def _headline(results: Results) -> str:
 
 
 def _learning_curves(results: Results) -> str | None:
-    """Return a picture of all learning curves, if an agent in focus has one and seeds overlap."""
+    """Return a picture of all learning curves; None if no agent in focus has one.
+
+    Also if there is no agent whose training seeds overlap, see `mean_curves`.
+    """
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
     from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves

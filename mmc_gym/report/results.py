@@ -139,9 +139,9 @@ class Results:
 
     @cached_property
     def judged(self) -> dict[str, Judged]:
-        """The scenarios that can be judged by these ranges."""
-        found = {name: place_of(name, self.ranges) for name in self.environments}
-        return {name: one for name, one in found.items() if one is not None}
+        """Where scenarios are, inside or beyond the trained `ranges`; of those that have some."""
+        places = {name: place_of(name, self.ranges) for name in self.environments}
+        return {name: place for name, place in places.items() if place is not None}
 
     @cached_property
     def controls(self) -> dict[str, str]:

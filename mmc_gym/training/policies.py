@@ -212,7 +212,7 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
-    """Return the parameters outside of modules."""
+    """Return what is learned outside of modules: the entropy coefficient of SAC and TQC, if any."""
     learned = getattr(model, "log_ent_coef", None)
     return {} if learned is None else {"log_ent_coef": learned}
 

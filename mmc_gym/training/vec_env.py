@@ -135,17 +135,18 @@ class Memory(VecEnvWrapper):
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        done = np.asarray(actions, np.float32)
-        self._memory = self._history.extended(self._now, done, self._memory)
+        taken = np.asarray(actions, np.float32)
+        self._memory = self._history.extended(self._now, taken, self._memory)
         self.venv.step_async(actions)
 
     @override
     def step_wait(self) -> VecEnvStepReturn:
         observation, rewards, dones, infos = self.venv.step_wait()
-        seen: Any = observation
+        seen: Any = observation  # where an episode has ended, the first one of the next
         for index in np.flatnonzero(dones).tolist():
             last, memory = infos[index]["terminal_observation"], self._memory[index]
-            recalled = self._history.recall(self._history.observed(last, memory), memory)
+            now = self._history.observed(last, memory)
+            recalled = self._history.recall(now, memory)
             infos[index]["terminal_observation"] = np.concatenate((last, recalled))
             self._memory[index] = self._history.start(seen[index])
         return self._show(seen), rewards, dones, infos

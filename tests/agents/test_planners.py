@@ -73,7 +73,8 @@ def test_speed_is_bell_shaped_and_the_hand_arrives_in_time(name, correlation, ac
         posture = random.uniform(0.4, 1.2, count)
         turn = random.uniform(0.3, 0.8, count) * [-1, *[1] * (count - 1)]
         target = hand_position(posture + turn, lengths)
-        duration = int(planners.begin(hand_position(posture, lengths), target, DT).duration)
+        hand = hand_position(posture, lengths)
+        duration = int(planners.begin_movement(hand, target, DT).duration)
         hands = internal_hands(name, posture, [target] * duration, lengths)
         profile = np.linalg.norm(np.diff(hands, axis=0), axis=-1) / DT
         assert count_peaks(profile) == 1
@@ -94,11 +95,11 @@ def test_a_target_that_jumps_or_moves_on_the_way_is_reached(name):
 
 def test_a_movement_begins_anew_only_where_the_target_jumps():
     hand, target = np.zeros((3, 2)), np.array([[1.0, 0.0]] * 3)
-    movement = planners.begin(hand, target, DT)
+    movement = planners.begin_movement(hand, target, DT)
     for _ in range(5):
-        movement = planners.step(planners.follow(movement, hand, target, DT))
+        movement = planners.one_step_later(planners.follow_target(movement, hand, target, DT))
     target = target + planners.NEW_TARGET_DISTANCE * np.array([[0.0, 0.0], [0.0, 0.9], [0.0, 1.1]])
-    assert planners.follow(movement, hand, target, DT).elapsed.tolist() == [5, 5, 0]
+    assert planners.follow_target(movement, hand, target, DT).elapsed.tolist() == [5, 5, 0]
 
 
 def expected_cost(gain):

@@ -74,7 +74,7 @@ BEGINS_AT, ENDS_AT = 0.25, 0.75  # ratios of these errors at which a change begi
 FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
 LARGEST_TREND = 0.1  # largest trend of the cursor, radians (or share of its gain) in a control step
 NEAR = 0.05  # squared distance from the centre within which errors count as shifts
-# Slope and end of the least-squares line through five values, as their weights.
+# Weights of five values that give the slope and the end of the least-squares line through them.
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
@@ -145,13 +145,13 @@ class Change(NamedTuple):
     ) -> Change:
         """Return the memory after one more observation, from the evidence before it.
 
-        The trend is judged only where the hypothesis errs more than usual, or always likewise, and
-        by more than the `blur` of the posture.
+        The trend is judged only where the hypothesis errs by more than usual and than the `blur` of
+        the posture explains, or always errs in the same direction, or where the body changes.
         """
-        none = np.zeros(len(hand))
+        zero = np.zeros(len(hand))
         looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
         if every(is_given):
-            return Change(looks, none, none, none > 0)
+            return Change(looks, zero, zero, zero > 0)
         error = squared(hand - evidence.best.seen(z[:, :-2]))
         mean = self.error + SURPRISE_RATE * (error - self.error)
         mean[is_given | (evidence.age == 0)] = 0.0
@@ -159,8 +159,8 @@ class Change(NamedTuple):
         fails = (mean > 3 * usual) | (3 * squared(evidence.offset) > usual) | self.is_on
         errs = np.flatnonzero(fails & ~is_given)
         if not len(errs):
-            return Change(looks, mean, mean, none > 0)
-        error_of_trend, is_on = mean.copy(), none > 0
+            return Change(looks, mean, mean, zero > 0)
+        error_of_trend, is_on = mean.copy(), zero > 0
         was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
         error = squared(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
         error = was.error_of_trend + SURPRISE_RATE * (error - was.error_of_trend)
@@ -304,7 +304,7 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
 
 
 def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
-    """Return the best hypothesis for each arm; where it `mirrors`, mirrored if no other fits."""
+    """Return the best hypothesis for each arm; a mirrored one if it `mirrors` and no other fits."""
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
@@ -323,7 +323,10 @@ def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
 
 
 def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
-    """Return the least criterion for each arm, the mean square error and the hypothesis."""
+    """Return the least criterion for each arm, and the mean square error and body that have it.
+
+    Rows and columns of `sums` are those of u_1 … u_N, x and 1; letters are those of the file.
+    """
     count = sums[:, -1, -1].real
     about_means = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
 
@@ -333,21 +336,24 @@ def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
     lengths, turn, parameters = hypotheses(g, h, given)
     shift = sums[:, -1, -2] - turn * (lengths * sums[:, -1, :-2]).sum(axis=-1)
     shift = is_shifted * shift / count
-    back = (turn.conj()[..., None] * h).real
-    own = (_product(g, lengths) * lengths).sum(axis=-1)
-    error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
-    free = parameters[:, None, None] + 2 * is_shifted
+
+    back = (turn.conj()[..., None] * h).real  # Re(e^{−iφ} h)
+    quadratic = (_product(g, lengths) * lengths).sum(axis=-1)  # ℓᵀ G ℓ
+    error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + quadratic, 0.0)
+    parameters = parameters[:, None, None] + 2 * is_shifted
     criterion = count * np.log((error + EXACT) / (count + 1))
-    criterion += free * _penalty(sums)
+    criterion += parameters * _penalty(sums)
     ratio = lengths / given
     is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
     criterion = np.where(is_absurd, np.inf, criterion).reshape(-1, len(sums))
-    best = criterion.argmin(axis=0), np.arange(len(sums))
+
+    arms = np.arange(len(sums))
+    best = criterion.argmin(axis=0), arms
     least, error, turn, shift = (
         one.reshape(criterion.shape)[best] for one in (criterion, error, turn, shift)
     )
     lengths = lengths.reshape(*criterion.shape, -1)[best]
-    return least, error / count, Body(lengths, turn, shift, best[1] < 0)
+    return least, error / count, Body(lengths, turn, shift, is_mirrored=arms < 0)
 
 
 def _penalty(sums: Points) -> Floats:
