@@ -148,8 +148,8 @@ def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
     x, y = effects[..., 0, :], effects[..., 1, :]
     twice = np.arctan2(2.0 * (x * y).sum(axis=-1), (x * x).sum(axis=-1) - (y * y).sum(axis=-1))
     towards = np.stack((np.cos(0.5 * twice), np.sin(0.5 * twice)), axis=-1)
-    c, s = towards[..., None, :1], towards[..., None, 1:]
-    rows = c * effects + s * effects[..., ::-1, :] * np.array([[1.0], [-1.0]])
+    cosine, sine = towards[..., None, :1], towards[..., None, 1:]
+    rows = cosine * effects + sine * effects[..., ::-1, :] * np.array([[1.0], [-1.0]])
     moves = np.sqrt((rows * rows).sum(axis=-1))
     return towards, moves, rows / np.maximum(moves, 1e-9)[..., None]
 
@@ -183,16 +183,16 @@ def gains(assumed: Assumptions, step: float) -> Gains:
     staying = optimal_gain(assumed, step, values)
     control = np.concatenate((staying[None], reaching_gains(assumed, step, values)))
     control[..., 0] /= moves
-    fresh, glides = np.diag([1.0, 0.0]), np.array([[1.0, step], [0.0, 1.0]])
-    hindered = np.diag([assumed.slip, assumed.push]) ** 2
-    bump = np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
+    # A joint's velocity is the commanded one, whatever it was before; a target keeps its velocity.
+    joint, target = np.diag([1.0, 0.0]), np.array([[1.0, step], [0.0, 1.0]])
+    disturbed = np.diag([assumed.slip, assumed.push]) ** 2
+    swerve = assumed.swerve**2 * np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
     felt, seen = assumed.joint_noise**2 * np.diag([1.0, 100.0]), assumed.vision_noise**2 * np.eye(1)
     return Gains(
         np.ascontiguousarray(np.moveaxis(control, -1, 0)),
-        # A joint's velocity is the commanded one, whatever it was before.
-        posture=np.diag(kalman_gain(fresh, np.eye(2), hindered, felt)),
+        posture=np.diag(kalman_gain(joint, np.eye(2), disturbed, felt)),
         vision=float(kalman_gain(np.eye(1), np.eye(1), assumed.drift**2 * np.eye(1), seen)[0, 0]),
-        target=kalman_gain(glides, np.eye(1, 2), assumed.swerve**2 * bump, seen)[:, 0],
+        target=kalman_gain(target, np.eye(1, 2), swerve, seen)[:, 0],
     )
 
 

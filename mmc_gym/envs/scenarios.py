@@ -86,7 +86,7 @@ class Scenario:
     @property
     def settings(self) -> dict[str, Any]:
         """The definition of the scenario for JSON; equal for equal scenarios."""
-        last = self.changes[-1].suffix if self.changes else ""
+        suffix = self.changes[-1].suffix if self.changes else ""
         task = {} if self.task.is_shipped else {"task": self.task.task}
         changes = [(c.perturbation, c.range) if c.range else c.perturbation for c in self.changes]
         arguments = {**task, **({"perturbations": changes} if changes else {}), **self.arguments}
@@ -94,7 +94,7 @@ class Scenario:
             "id": environment_id(self.task.name if self.task.is_shipped else BASELINE),
             "kwargs": as_json(arguments),
             "description": self.description,
-            "family": self.family + last,
+            "family": self.family + suffix,
             "strength": self.strength,
             "unit": self.unit,
             "baseline": self.task.name if self.family else None,

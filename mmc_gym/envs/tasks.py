@@ -222,8 +222,9 @@ class CuedTarget(PointToPoint):
 
     @override
     def draw(self, request: Request) -> Trial:
-        workspace, (posture, (target,)) = request.workspace, super().draw(request)
-        start, step = self._ends(workspace, 0)[0], workspace.body.control_step
+        workspace, step = request.workspace, request.workspace.body.control_step
+        posture, (target,) = super().draw(request)
+        start, _ = self._ends(workspace, 0)  # the start is that of all trials
         waits = round(self.jump_time / step) if self.jump else 0
         before = [start] * round(self.go_cue / step) + [target] * waits
         x, y, share = target[0] - start[0], target[1] - start[1], self.jump / 100

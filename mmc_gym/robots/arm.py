@@ -229,33 +229,32 @@ class HingeArm:
     @cached_property
     def _rule(self) -> tuple[tuple[int, ...], Floats]:
         """Return the node of each hinge, and the nodes in the zero posture, (N + 1, 3)."""
-        last = self.joint_count  # hinges from here on belong to the hand
-        hand = self.home[:3, 3]
-        while last > 1 and self._misses(range(last - 1, last), hand) < _MEET:
-            last -= 1
+        hand, of_hand = self.home[:3, 3], self.joint_count  # hinges from `of_hand` on belong to it
+        while of_hand > 1 and self._miss(range(of_hand - 1, of_hand), hand) < _MEET:
+            of_hand -= 1
         nodes: list[NDArray[Any]] = []
         joint_nodes: list[int] = []
         before: Floats = np.zeros(3)
         first = 0
-        while first < last:
+        while first < of_hand:
             end = first + 1
-            while end < last and self._meet(range(first, end + 1), before)[1] < _MEET:
+            while end < of_hand and self._meet(range(first, end + 1), before)[1] < _MEET:
                 end += 1
             before = self._meet(range(first, end), before)[0]
             joint_nodes += [len(nodes)] * (end - first)
             nodes.append(before)
             first = end
-        joint_nodes += [len(nodes)] * (self.joint_count - last)
+        joint_nodes += [len(nodes)] * (self.joint_count - of_hand)
         return tuple(joint_nodes), np.array([*nodes, hand])
 
     def _meet(self, joints: range, near: Floats) -> tuple[Floats, float]:
-        """Return the point nearest to some axes, and to `near` where it is free; and its miss."""
+        """Return the point nearest to some axes (of these, the one nearest to `near`), its miss."""
         across = np.eye(3) - self.axes[joints, :, None] * self.axes[joints, None, :]
         pull = np.einsum("nij,nj->i", across, self.points[joints] - near)
         point = near + np.linalg.pinv(across.sum(axis=0), rcond=1e-6, hermitian=True) @ pull
-        return point, self._misses(joints, point)
+        return point, self._miss(joints, point)
 
-    def _misses(self, joints: range, point: Floats) -> float:
+    def _miss(self, joints: range, point: Floats) -> float:
         """Return the largest distance of a point from some axes."""
         away = np.cross(self.axes[joints], point - self.points[joints])
         return float(np.linalg.norm(away, axis=1).max())

@@ -219,7 +219,8 @@ def _variables(model: BaseAlgorithm) -> Tensors:
 
 def _statistics(model: BaseAlgorithm) -> dict[str, RunningMeanStd]:
     """Return the statistics of observations and returns of the model's `VecNormalize`."""
-    known = vars(model.get_vec_normalize_env() or object)
+    normalize = model.get_vec_normalize_env()
+    known = {} if normalize is None else vars(normalize)
     return {name: known[name] for name in ("obs_rms", "ret_rms") if name in known}
 
 

@@ -391,13 +391,13 @@ class Locks(NamedTuple):
         least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
         least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
         may_lock = np.abs(commanded) > least
-        if not some(self.is_locked | may_lock):
+        if not some(self.is_locked | may_lock):  # as mostly; then `may_lock` is False for all
             place = np.where(moves, seen, self.place)
             return self._replace(place=place, commanded=commanded, has_changed=may_lock)
 
         was_wrong = self.was_wrong | is_freed
-        turn = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
-        locks = rests & (np.abs(commanded) > turn)
+        enough = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
+        locks = rests & (np.abs(commanded) > enough)
         if lockable:
             locks[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
         stays_locked = self.is_locked & ~is_freed
