@@ -105,16 +105,15 @@ BODIES = {
     "first joint held": TrueBody(held=0),
     "second joint held": TrueBody(held=1),
 }
-AGENTS = ("mmc-body", "ik-body", "ik", "ik, pd", "sac 100k", "sac 200k", "sac 500k", "optimum")
+AGENTS = ("mmc-body", "ik-body", "ik", "ik, pd", "sac 100k", "sac 500k", "optimum")
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Play what is not in the folder yet, then print all results of the seed."""
 
-    # who plays, by default all whose actors are stored; without any, the results in the folder are
-    # printed
-    agents: tuple[str, ...] = tuple(name for name in AGENTS if name not in ("sac 200k", "sac 500k"))
+    # who plays; without any, the results in the folder are printed
+    agents: tuple[str, ...] = AGENTS
     bodies: tuple[str, ...] = tuple(BODIES)  # the bodies
     episodes: int = 1000  # episodes of each agent with each body, those of `mmc-gym compare`
     seed: int = 0  # of the starts and targets
