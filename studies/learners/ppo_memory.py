@@ -1,14 +1,13 @@
 """Train `ppo-memory`: a policy with a memory learns to act like one that is shown what was drawn.
 
 A policy that has to identify noise, delays and its body from a memory learns slowly from rewards.
-`ppo-context`, which is shown what was drawn, learns fast, and can say in any state what it would
-do.  So its student acts, and learns from its memory to do what this teacher would if its senses
-were neither late nor noisy.  It minimizes weighted squared errors on the states that the student
-itself visits (dataset aggregation with the latest episodes only).
+One that is shown what was drawn, such as `ppo-context`, learns fast, and can say in any state what
+it would do.  So its student acts, and learns from its memory to do what this teacher would if its
+senses were neither late nor noisy.  It minimizes weighted squared errors on the states that the
+student itself visits (dataset aggregation with the latest episodes only).
 
-    python -m studies.learners.ppo_memory --seed 0 --out runs/ppo-memory    # 7 minutes, teacher too
-
-The three policies that ship are of an earlier version, whose teacher was given the true arm.
+    mmc-gym train studies/learners/ppo-teacher.yml                          # 2 minutes
+    python -m studies.learners.ppo_memory --teacher runs/ppo-teacher-0/ppo-teacher-0.json   # 3
 
 Sources: Kumar, Fu, Pathak & Malik (2021), RMA: Rapid motor adaptation for legged robots, RSS,
 https://arxiv.org/abs/2107.04034 (a teacher that is shown what was drawn, a student with a memory).
@@ -50,31 +49,24 @@ Float32 = NDArray[np.float32]
 
 TASKS = {"MMCReach-v0": 896, "MMCReachPursuit-v0": 64, "MMCReachDoubleStep200-v0": 64}
 """Arms of each task: targets that move or jump are seldom, and must not be new."""
-SENSES = ("delay", "joint-noise", "vision-noise")
-"""Families of perturbations that the teacher is spared, and so is not shown."""
-OFTEN = {"delay": 4.0, "locked": 2.0, "locks": 2.0, "vision-noise": 2.0}
-"""How often families are drawn, if not once: delays need a memory most."""
-BLOCKS = (1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 10, 10, 20)
-"""Steps in the blocks of the memory."""
+SENSES = "delay", "joint-noise", "vision-noise"  # families that the teacher is spared
+OFTEN = {"delay": 4.0, "locked": 3.0, "locks": 3.0, "vision-noise": 2.0}
+"""How often families are drawn, if not once."""
+BLOCKS = (1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 10, 10, 20)  # steps in each of the memory
 STEPS, BATCH, EPOCHS, LEARNING_RATE, LAYERS, EVALUATIONS = 100, 1024, 2, 1e-3, (256, 128), 12
 AHEAD, JUMP = 3, 0.3
 """The teacher is shown where the target is so many steps later, unless it jumps so far."""
-NOISE = 0.05
-"""Standard deviation of a student's noise, so that it visits slightly more than its own states."""
+NOISE = 0.05  # standard deviation of a student's noise: it visits slightly more than its states
 CALM = 0.004
-"""Mean square of actions at which an error counts half as much as at rest.  Errors of small actions
-count more, because actions are small at the target, where success is decided."""
+"""Mean square of actions at which errors count half as much as at rest, which decides."""
 
 
 def actions_of(teacher: PolicyNetwork, shown: Float32) -> Float32:
     """Return the mean actions of a network for many rows, (..., features)."""
-    depth = sum(name.startswith("hidden.") for name in teacher.tensors) // 2
-    for name in (f"hidden.{layer}" for layer in range(depth)):
-        shown = np.maximum(
-            shown @ teacher.tensors[f"{name}.weight"].T + teacher.tensors[f"{name}.bias"], 0.0
-        )
-    means = shown @ teacher.tensors["mean.weight"].T + teacher.tensors["mean.bias"]
-    return np.clip(means, -1.0, 1.0)
+    weights, depth = teacher.tensors, sum(name.startswith("hidden.") for name in teacher.tensors)
+    for name in (f"hidden.{layer}" for layer in range(depth // 2)):
+        shown = np.maximum(shown @ weights[f"{name}.weight"].T + weights[f"{name}.bias"], 0.0)
+    return np.clip(shown @ weights["mean.weight"].T + weights["mean.bias"], -1.0, 1.0)
 
 
 def episodes_of(
@@ -159,16 +151,18 @@ def teach(
     return network
 
 
-def main(seed: int = 0, rounds: int = 66, out: Path = Path("runs/ppo-memory")) -> None:
+def main(
+    teacher: Path | None = None, rounds: int = 66, out: Path = Path("runs/ppo-memory")
+) -> None:
     """Train `ppo-memory`.
 
     Args:
-        seed: Seed of everything random, and of the teacher among the policies that ship.
+        teacher: Card of the teacher, whose seed is that of the student; by default of ppo-context.
         rounds: Episodes of all arms.
         out: Folder for the policy.
     """
     torch.set_num_threads(1)
-    teacher, taught = load_policy(shipped_file("ppo-context", seed))
+    shown, taught = load_policy(teacher or shipped_file("ppo-context", 0))
     keys = {**taught.hyperparameters["env_kwargs"], "observe_context": False}
     settings = {"teacher": taught.file_stem, "arms": TASKS, "often": OFTEN, "rounds": rounds}
     card = replace(
@@ -183,7 +177,6 @@ def main(seed: int = 0, rounds: int = 66, out: Path = Path("runs/ppo-memory")) -
     begin = {name: now() - getattr(taught, f"training_{name}") for name, now in clocks.items()}
 
     def report(network: PolicyNetwork, done: int) -> None:
-        """Evaluate the policy at times; steps and seconds are those of its teacher, too."""
         nonlocal card
         if done % max(rounds // EVALUATIONS, 1) and done < rounds:
             return
@@ -200,8 +193,7 @@ def main(seed: int = 0, rounds: int = 66, out: Path = Path("runs/ppo-memory")) -
         )
         print(f"{steps:>12,} steps  success {scores['success']:6.1%}", flush=True)
 
-    network = teach(teacher, taught, rounds, report)
-    save_policy(network, card, out)
+    save_policy(teach(shown, taught, rounds, report), card, out)
 
 
 if __name__ == "__main__":
