@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym.experiments.adaptation import Learning, measure_learning
+from mmc_gym.experiments.adaptation import QUANTITIES, Learning, measure_learning
 from mmc_gym.experiments.fits import TWO_STATES
 from mmc_gym.experiments.learning import (
     correction_gain,
@@ -14,8 +14,11 @@ from mmc_gym.experiments.learning import (
     initial_direction,
     lateral_deviation,
 )
+from mmc_gym.measures import MEASURES
+from mmc_gym.measures.catalogue import people
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.recovery import TwoStates, simulate_learners
+from studies.laws import LAWS
 
 STEP = 0.02
 BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
@@ -156,3 +159,12 @@ def test_measures_of_a_clamp():
     assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
     assert found["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
     assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
+
+
+def test_figures_of_people_have_a_source_and_belong_to_a_measure():
+    known = {*MEASURES, *LAWS, *(one.name for one in QUANTITIES)}
+    for family in ("", "cursor-jump", "generalisation", "savings", "clamp"):
+        assert people(family)
+        for name, one in people(family).items():
+            assert name in known and one.source and one.task and one.differs
+            assert not np.isnan([one.low, one.high]).all()
