@@ -121,7 +121,7 @@ def carl(feature: str, low: float, high: float) -> Player:
 
 
 def dm_control(domain: str, task: str) -> Player:
-    """One environment of dm_control's suite, unchanged."""
+    """One environment of dm_control's suite, with its own settings."""
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn
     from dm_control import suite
 
@@ -192,7 +192,7 @@ def _envpool_entry(arms: int, threads: int) -> Entry:
     return Entry(PEER, "EnvPool", partial(envpool, PEER, arms, threads), arms, threads)
 
 
-def _native_entry(variant: str, arms: int, threads: int, **arguments: str) -> Entry:
+def _native_entry(variant: str, arms: int, threads: int, **arguments: Any) -> Entry:
     make = partial(vector, OURS, arms, threads=threads, **arguments)
     return Entry(OURS, variant, make, arms, threads)
 
@@ -251,10 +251,9 @@ DRAWN = (
 def drawn_entries(engine: str, arms: int) -> dict[str, Entry]:
     """Return arms without perturbations (""), with each drawn, and with each of its strengths."""
     names = [f"{name}-{one}" for name, drawn, fixed in DRAWN for one in (drawn, *fixed)]
-    entries = {name: {"perturbations": name} for name in names}
     return {
-        name: _native_entry(name, arms, 1, engine=engine, **made)
-        for name, made in {"": {}, **entries}.items()
+        name: _native_entry(name, arms, 1, engine=engine, perturbations=name or ())
+        for name in ("", *names)
     }
 
 

@@ -152,8 +152,7 @@ class ArmBatch(ABC):
         self._servo: Servo = servo
         self._others, self._is_loaded = tuple(others), False
         self._shape = self._count, len(p.segment_lengths)
-        self._lockable = np.zeros(self._shape, dtype=bool)
-        self._lockable[:, p.lockable_joints] = True
+        self._lockable = ArmColumns.of(p).lockable(self._count)
         self.servo_impulses: Floats = np.full(self._shape, nan)
         self.servo_work: Floats = np.full(self._shape, nan)
         self._pool: ThreadPoolExecutor | None = None

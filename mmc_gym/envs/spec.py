@@ -282,24 +282,20 @@ class ReachSetup:
 
     def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
         """Return what k arms have drawn, from (k, m) numbers, as arrays."""
-        if self.draws is None:
-            locked = np.zeros((len(numbers), self.joint_count), dtype=bool)
-            locked[:, self.workspace.locked] = True
-            some = locked if self.workspace.locked else None
-            return Episodes(None, self.ring, self.parts, self.cursor, self.lock_steps, some)
-        parts = self.draws.perturbations(numbers)
-        senses = [self._placed(one) for one in senses_of(parts)]
-        cursor = self.disturbance(_AT_LAST, senses).cursor
         body: ArmColumns | None = None
-        ring = self.ring
-        if self.arms_differ:
-            body = self._drawn_body(parts)
-            ring = rings(body.segment_lengths, self.given_body.segment_lengths)
-        lock_steps: Any = -1
-        for one in parts:
-            if isinstance(one, LockedJoint):
-                steps = self._in_steps(one.time)
-                lock_steps = np.maximum(lock_steps, np.where(one.shown, steps, -1))
+        ring, senses, cursor = self.ring, self.parts, self.cursor
+        lock_steps: Any = self.lock_steps
+        if self.draws is not None:
+            parts, lock_steps = self.draws.perturbations(numbers), -1
+            senses = [self._placed(one) for one in senses_of(parts)]
+            cursor = self.disturbance(_AT_LAST, senses).cursor
+            if self.arms_differ:
+                body = self._drawn_body(parts)
+                ring = rings(body.segment_lengths, self.given_body.segment_lengths)
+            for one in parts:
+                if isinstance(one, LockedJoint):
+                    steps = self._in_steps(one.time)
+                    lock_steps = np.maximum(lock_steps, np.where(one.shown, steps, -1))
         locked = ArmColumns.of(body or self.body).lockable(len(numbers))
         locked &= np.reshape(lock_steps == 0, (-1, 1))
         return Episodes(body, ring, senses, cursor, lock_steps, locked if locked.any() else None)

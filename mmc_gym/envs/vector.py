@@ -319,7 +319,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             randoms[row].bit_generator.advance(-count - 2 * MOST_TARGETS)  # type: ignore[attr-defined]
         self._last_places[arms] = 0
         self._body.reset(postures, arms, parameters=drawn.body)
-        return ~np.isin(np.arange(len(arms)), left)
+        is_found = np.ones(len(arms), dtype=bool)
+        is_found[left] = False
+        return is_found
 
     def _place_each(self, arms: Indices, randoms: Randoms, options: Options) -> None:
         """Draw a trial for each of these arms, one by one."""
