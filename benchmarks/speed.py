@@ -161,9 +161,9 @@ def growth_table(times: Times) -> Table:
 
 
 def drawn_table(rounds: int, console: Console) -> Table:
-    """Make the table of arms whose strengths each episode draws, beside arms that have equal ones.
+    """Make the table of arms that draw a strength for each episode, against arms that all have one.
 
-    The time of these is the mean of those with three strengths, since a strength may be slower.
+    Some strengths take the physics longer, so the latter time is a mean over three strengths.
     """
     headings = ("µs per step", "with equal strengths", "without perturbations")
     title = "native, strengths drawn for each episode; speed relative to arms"

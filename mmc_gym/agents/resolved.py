@@ -171,7 +171,7 @@ class ResolvedAgent:
 
     @property
     def knowledge(self) -> Knowledge:
-        """Its kind, what it is given, and what it senses; of a policy, as its card says."""
+        """The agent's kind, what it is given, and what it senses; of a policy, as its card says."""
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)

@@ -250,7 +250,7 @@ class Change:
 
 
 def _digits(strength: float | Range) -> str:
-    """Return a strength as the grammar reads it: exact, and without an exponent."""
+    """Return a strength as text for a name: exact, and without an exponent (0.00001, not 1e-05)."""
     if isinstance(strength, Range):
         return f"{_digits(strength.low)}..{_digits(strength.high)}"
     return np.format_float_positional(strength, trim="-")

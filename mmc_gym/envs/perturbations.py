@@ -264,7 +264,7 @@ class Cursor(Perturbation, ABC):
 
     @abstractmethod
     def cursor(self, x: Any, y: Any, target: Place) -> Place:
-        """Return where the cursor is for a hand at (x, y)."""
+        """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
 
     def hand(self, x: Any, y: Any) -> Place:
         """Return where the hand is for a cursor at the target (x, y): numbers, or arrays."""

@@ -195,7 +195,10 @@ class Training:
         self.report(TrainingProgress(model.num_timesteps, self.total_steps, self.curve[-1]))
 
     def begin_leg(self, model: BaseAlgorithm) -> None:
-        """Reset the environments and seed everything random from the seed and the step count."""
+        """Begin a leg, a part of the training: reset the environments, and seed everything random.
+
+        The seed follows from that of the training and the number of the leg.
+        """
         leg = model.num_timesteps // self.steps_per_leg
         seed = int(np.random.SeedSequence([self.seed, leg]).generate_state(1)[0])
         env = cast(VecEnv, model.get_env())

@@ -51,14 +51,14 @@ TASKS = {"MMCReach-v0": 896, "MMCReachPursuit-v0": 64, "MMCReachDoubleStep200-v0
 """Arms of each task: targets that move or jump are seldom, and must not be new."""
 SENSES = "delay", "joint-noise", "vision-noise"  # families that the teacher is spared
 OFTEN = {"delay": 4.0, "locked": 3.0, "locks": 3.0, "vision-noise": 2.0}
-"""How often families are drawn, if not once."""
+"""Weights of families among all that are drawn; the others have 1."""
 BLOCKS = (1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 10, 10, 20)  # steps in each of the memory
 STEPS, BATCH, EPOCHS, LEARNING_RATE, LAYERS, EVALUATIONS = 100, 1024, 2, 1e-3, (256, 128), 12
 AHEAD, JUMP = 3, 0.3
 """The teacher is shown where the target is so many steps later, unless it jumps so far."""
 NOISE = 0.05  # standard deviation of a student's noise: it visits slightly more than its states
 CALM = 0.004
-"""Mean square of actions at which errors count half as much as at rest, which decides."""
+"""Mean square of actions at which errors weigh half as much as at rest, which decides success."""
 
 
 def actions_of(teacher: PolicyNetwork, shown: Float32) -> Float32:
