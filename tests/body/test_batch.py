@@ -44,11 +44,11 @@ def tuples(values):
     return values if values.ndim == 1 else tuple(map(tuples, values))
 
 
-def drawn(parameters, random, count):
+def drawn(parameters, random, count, heaviest):
     """Parameters in which arms differ, as columns and as those of each arm."""
     values = {
         "segment_lengths": random.uniform(0.5, 1.5, (3, count)),
-        "hand_mass": random.uniform(0, 2, count),
+        "hand_mass": random.uniform(0, heaviest, count),
         "gravity": random.uniform(-30, 30, (2, count)),
         "speed_limit": random.uniform(3, 7, count),
         "torque_limit": random.uniform(200, 700, count),
@@ -82,7 +82,9 @@ def play_both(postures, scale):
                 rows = random.permutation(count)[: random.integers(0, count + 1)]
                 places = postures(parameters, random, len(rows)) / (2 if others else 1)
                 speeds = random.uniform(-3, 3, places.shape) if random.random() < 0.5 else None
-                new, own = drawn(parameters, random, len(rows)) if others else (None, None)
+                new, own = None, None
+                if others:
+                    new, own = drawn(parameters, random, len(rows), others[-1].hand_mass)
                 arms.reset(places, rows, speeds, parameters=new)
                 for row, arm in enumerate(rows):
                     if arm in singles:
@@ -127,11 +129,15 @@ def test_threads_change_nothing(engine, count, made, servo, play_both):
 
 
 @pytest.mark.usefixtures("few_arms_in_a_space")
+@pytest.mark.parametrize("heaviest", [0.0, 2.0], ids=["without loads", "with loads"])
 @pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, servo, play_both):
+def test_arms_that_differ_move_as_single_ones_with_their_parameters(
+    engine, made, heaviest, servo, play_both
+):
     """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
-    own = ArmParameters(**made)
-    play_both((engine, own), servo, 37, 30, others=[own, replace(own, gravity=(0.0, 30.0))])
+    own = replace(ArmParameters(**made), lockable_joints=(0, 1, 2))
+    other = replace(own, gravity=(0.0, 30.0), hand_mass=heaviest)
+    play_both((engine, own), servo, 37, 30, others=[own, other])
 
 
 def test_a_whole_space_of_arms_moves_as_single_ones(play_both):

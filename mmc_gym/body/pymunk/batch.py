@@ -45,17 +45,27 @@ _WORTH_A_THREAD = 16  # arms
 class ArmGroup:
     """A group of `count` arms, from index `first` on, that are stepped and read together.
 
-    They share a Space.  Arms with obstacles have a Space each, because they would collide, and so
-    have arms that may differ in gravity or the number of sweeps, which belong to a Space.
+    They share a Space.  With obstacles each has its own, because they would collide, and so it has
+    if they may differ in the number of sweeps or in gravity, which belong to a Space.  But if all
+    masses are 1, arms that differ in gravity share a Space without gravity, and a force pulls each
+    segment: as gravity would, to the last bit.
     """
 
     def __init__(
         self, parameters: ArmParameters, servo: Servo, arms: slice, others: Sequence[ArmParameters]
     ) -> None:
         self.arms, count = arms, arms.stop - arms.start
-        spaces_of = {(p.gravity, solver_iterations(p)) for p in (parameters, *others)}
+        every = parameters, *others
         self._servo, self._may_differ = servo, bool(others)
-        self._is_apart = len(spaces_of) > 1 or any(p.obstacles for p in (parameters, *others))
+        gravities_differ = len({p.gravity for p in every}) > 1
+        masses_are_1 = all(rod.mass == 1.0 for p in every for rod in p.rods)
+        self._is_apart = (
+            (gravities_differ and not masses_are_1)
+            or len(set(map(solver_iterations, every))) > 1
+            or any(p.obstacles for p in every)
+        )
+        #: whether forces stand for gravity
+        self._is_pulled = gravities_differ and not self._is_apart
         self._shape = count, len(parameters.segment_lengths)
         spaces, arms_per_space = (count, 1) if self._is_apart else (1, count)
         self._segments_per_space = arms_per_space * self._shape[1]
@@ -66,6 +76,7 @@ class ArmGroup:
         for buffer, pushes in zip(self._push_buffers, self._pushes):
             buffer.set_float_buf(pushes)
         self._yields = np.ones(self._shape)
+        self._pulls = np.zeros((*self._shape, 3))  # of gravity on each segment
         self.walls: Walls | None = None
         self._spaces = [make_space(parameters) for _ in range(spaces)]
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
@@ -86,6 +97,12 @@ class ArmGroup:
         if any(p.force_field is not None for p in every):
             own = [linkage.field for linkage in self.linkages]
             self._field = HandField.of(own) if self._may_differ else own[0]
+        if self._is_pulled:
+            self._spaces[0].gravity = 0.0, 0.0
+            masses = np.array([[rod.mass for rod in p.rods] for p in every])
+            falls = np.array([[p.gravity] for p in every])
+            self._pulls[..., :2] = masses[..., None] * falls
+            self._pushes[0] = self._pulls.reshape(-1, 3)
 
     def drive(self, settings: Floats, torques: Floats) -> None:
         """Set the servos: their phases or rates, and their largest torques, (count, N)."""
@@ -100,7 +117,8 @@ class ArmGroup:
         """Simulate a control step; write the servos' impulses and work (count, N) to `effort`."""
         if self.walls is not None:
             self.walls.contacts[:] = 0.0
-        if self._field is None and self.walls is None and not effort:
+        is_pushed = self._field is not None or self.walls is not None or self._is_pulled
+        if not is_pushed and not effort:
             for substeps, substep, space in self._paces:
                 for _ in range(substeps):
                     chipmunk.cpSpaceStep(space, substep)
@@ -109,8 +127,8 @@ class ArmGroup:
         for array in effort or ():
             array[:] = 0.0
         for number in range(self._substeps.max()):
-            if self._field is not None or self.walls is not None:
-                self._push_hands(number)
+            if is_pushed:
+                self._push(number)
             for substeps, substep, space in self._paces:
                 if number < substeps:
                     chipmunk.cpSpaceStep(space, substep)
@@ -161,16 +179,18 @@ class ArmGroup:
         state = self._fields(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
-    def _push_hands(self, number: int) -> None:
-        """Set forces and torques on the last segments for physics step `number`."""
-        count, motion = self._shape[1], self._fields(MOTION)
-        pushes: Floats = np.zeros((self._shape[0], 3))
-        if self._field is not None:
-            pushes = self._field.impulses(motion, self._yields) / self._substep
-        if self.walls is not None:
-            pushes = pushes + self.walls.pushes(motion)
-        of_hands = self._pushes[:, count - 1 : self._segments_per_space : count]
-        of_hands[:] = pushes.reshape(of_hands.shape)
+    def _push(self, number: int) -> None:
+        """Set forces and torques on the segments for physics step `number`."""
+        if self._field is not None or self.walls is not None:
+            count, motion = self._shape[1], self._fields(MOTION)
+            pushes: Floats = np.zeros((self._shape[0], 3))
+            if self._field is not None:
+                pushes = self._field.impulses(motion, self._yields) / self._substep
+            if self.walls is not None:
+                pushes = pushes + self.walls.pushes(motion)
+            pushes = self._pulls[:, -1] + pushes  # in the order in which Chipmunk adds gravity
+            of_hands = self._pushes[:, count - 1 : self._segments_per_space : count]
+            of_hands[:] = pushes.reshape(of_hands.shape)
         for space, buffer, (substeps, *_) in zip(self._spaces, self._push_buffers, self._paces):
             if number < substeps:
                 set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
