@@ -239,11 +239,13 @@ class AnalyticArm(SingleArm):
 
     @override
     def _command(self, values: Sequence[float]) -> None:
-        self._arms._command(np.array([values], dtype=np.float64))
+        arms = self._arms  # as in `command_arms` and `step_arms`, but there is one block
+        kernel.command(arms._state, arms._chain, np.array([values], np.float64), 1.0, False)
 
     @override
     def step(self) -> None:
-        self._arms.step_arms(0, 1)
+        arms, substeps = self._arms, self.parameters.substeps
+        kernel.step(arms._state, arms.shown, arms._chain, arms._no_work, substeps)
         self._read()
 
     def _read(self) -> None:
