@@ -144,8 +144,12 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     except UserError:
         if not rows:
             raise
-        yield from rows
-        return
+    else:
+        yield from _describe_scenario(found)
+    yield from rows
+
+
+def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
     env = found.make()
     setup: Any = env.get_wrapper_attr("setup")
     task = setup.task
@@ -175,7 +179,6 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         low, high = space.low.min(), space.high.max()
         yield f"{kind}s", f"{space.shape[0]} numbers, {space.dtype}, within {low:g} and {high:g}"
     env.close()
-    yield from rows
 
 
 def _about(described: Task | Perturbation) -> str:

@@ -58,11 +58,12 @@ def require_rotations(name: str, value: Floats) -> None:
     """Raise a `UserError` for the first of some matrices (..., 3, 3) that is no rotation."""
     matrices = value.reshape(-1, 9).tolist()  # numpy takes four times as long for one of them
     for number, (a, b, c, d, e, f, g, h, i) in enumerate(matrices):
+        # The rows (a, b, c) … must have length 1 and be at right angles.
         squares = abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1)
         across = abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
         gap = max(*squares, abs(g * g + h * h + i * i - 1), *across)
         turn = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
-        if not (gap <= _SQUARE and turn > 0):
+        if not (gap <= _SQUARE and turn > 0):  # refuses NaN too
             index = [int(each) for each in np.unravel_index(number, value.shape[:-2])]
             raise UserError(
                 f"{name} must be a rotation, orthogonal within {_SQUARE:g} and of determinant 1, "

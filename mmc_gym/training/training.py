@@ -119,7 +119,7 @@ class Training:
             self._env = env.vector_env
             self.interface = ReachInterface.of(self._env)  #: of the environment
             model = self.make_model(env)
-            try:
+            try:  # fail now, not after hours, if the policy could not act
                 PolicyAgent(*self._policy(model), self.interface)
             except ValueError as error:
                 raise UserError(f"hyperparameters must give a policy that acts: {error}") from error
