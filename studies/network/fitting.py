@@ -32,6 +32,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
+import tyro
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
@@ -400,7 +401,11 @@ def _directions(count: int) -> Floats:
 
 
 def main(folder: Path = WEIGHTS) -> None:
-    """Train the normalizers that the package ships and write their files."""
+    """Train the normalizers that the package ships, and write their files.
+
+    Args:
+        folder: where to write; by default the package's own, whose files are overwritten.
+    """
     for name, recipe in RECIPES.items():
         normalizer = train_normalizers(recipe=recipe)[0].normalizer
         path = folder / f"{name}-16x16.safetensors"
@@ -409,4 +414,4 @@ def main(folder: Path = WEIGHTS) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)
