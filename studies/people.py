@@ -110,9 +110,8 @@ def learning_rows(
         table.loc[in_lengths, ["estimate", "low", "high"]] *= METRES
         table.loc[in_lengths, "unit"] = "m"
         chosen = table[table["measure"].isin(names)].assign(of=experiment)
-        rows += chosen.sort_values("measure", key=lambda one: one.map(names.index)).to_dict(
-            "records"
-        )
+        order = chosen["measure"].map(names.index).sort_values(kind="stable")  # agents keep theirs
+        rows += chosen.loc[order.index].to_dict("records")
         save_figure(learning_figure(result, table), pictures / experiment)
     return rows
 
@@ -141,9 +140,9 @@ def shown(row: Mapping[str, Any]) -> str:
         return f"{span(row['low'], row['high'])} ({row['source']})"
     if pd.isna(row["estimate"]):
         return "–"
-    digits, text = int(row["decimals"]), f"{row['estimate']:.{int(row['decimals'])}f}"
-    if not pd.isna(row["low"]):
-        text += f" [{row['low']:.{digits}f}, {row['high']:.{digits}f}]"
+    digits = int(row["decimals"])
+    estimate, low, high = (f"{row[key]:z.{digits}f}" for key in ("estimate", "low", "high"))
+    text = estimate if pd.isna(row["low"]) else f"{estimate} [{low}, {high}]"
     return text.replace("-", "−")
 
 

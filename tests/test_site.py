@@ -141,13 +141,15 @@ def test_links_of_the_readme_lead_somewhere_and_agents_md_is_up_to_date():
 ALIKE = 40  # of 255
 SQUARE = 8
 
+LEARNERS = "ppo ppo-residual ppo-smooth ppo-torque sac tqc-her"
+CURVES = f"-m studies.learners.trainings --out . --agents {LEARNERS}"
 # Picture, the command that draws it, its file, and the frames that are compared.
 COMPARE = "-m mmc_gym.cli compare --agents mmc-body mmc ik-dls ppo sac --out ."
 PICTURES = [
     # Starts, the joint locks, ends.
     ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
     ("panda.gif", "docs/draw_panda.py panda.gif", "panda.gif", (0, 20, 65)),
-    ("learning-curves.png", "-m studies.learners.trainings --out .", "learning_curves.png", (0,)),
+    ("learning-curves.png", CURVES, "learning_curves.png", (0,)),
     ("compare.png", COMPARE, "paths_and_profiles.png", (0,)),
 ]
 

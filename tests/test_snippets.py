@@ -100,6 +100,7 @@ def fill(folder):
     for name, text in zip(("aba", "learners"), blocks(page, "yaml"), strict=True):
         (folder / f"{name}.yml").write_text(text)
     (folder / "people.csv").write_text("trial,adaptation\n40,0.1\n87,0.9\n")
+    (folder / "studies").symlink_to(ROOT / "studies")  # some commands are run in a clone
     run(folder, "-c", MODEL)
     for command in ("mmc-gym benchmark", "mmc-gym adapt rotation-30 --agents mmc"):
         run(folder, "-m", "mmc_gym.cli", *small(command))
@@ -108,7 +109,7 @@ def fill(folder):
 @pytest.fixture
 def here(once, tmp_path):
     """A folder with what the reader of the pages has made before."""
-    return shutil.copytree(once("reader", fill), tmp_path / "here")
+    return shutil.copytree(once("reader", fill), tmp_path / "here", symlinks=True)
 
 
 def small(command):

@@ -176,11 +176,11 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     **_trained(
         "ppo-memory",
-        "a memory of 1.4 s, taught by PPO that is given the truth, under perturbations drawn for "
-        "each episode",
+        "it remembers 1.4 s; taught by PPO that is shown which perturbation was drawn for the "
+        "episode",
         3,
         memory=68,
-        command="python -m studies.learners.ppo_memory (an earlier version)",
+        command="python -m studies.learners.ppo_memory",
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",

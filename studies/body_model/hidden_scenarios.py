@@ -1,10 +1,10 @@
 """Measure agents in scenarios on which nothing was tuned.
 
 None of them is in the benchmark: other strengths and signs, two perturbations at once, other arms.
-`ppo-memory` was trained with similar ones: rotations in both directions, delays of any length, and
-sometimes two perturbations at once.  The other policies were trained with none.  Two kinds of rows
-are no longer unseen, because they showed defects of `mmc-body` that were then mended: seven and
-more segments (96 and 54 % before), and a delay with joint noise (60 %).
+`ppo-memory` was trained with perturbations of the same kinds, but with one at a time, and without
+obstacles.  The other policies were trained with none.  Two kinds of rows are no longer unseen,
+because they showed defects of `mmc-body` that were then mended: seven and more segments (96 and
+54 % before), and a delay with joint noise (60 %).
 
 All agents play the same postures, targets and noise.  The table shows success in per cent, with the
 95 % interval over trainings and episodes unless all end alike; – where an agent cannot act.

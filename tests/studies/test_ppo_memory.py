@@ -50,7 +50,7 @@ def test_a_student_of_a_short_training_is_kept_and_acts(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "EVALUATION_EPISODES", 4)
     monkeypatch.setattr(study, "FINAL_EPISODES", 4)
     torch.manual_seed(0)
-    study.main(rounds=3, out=tmp_path)
+    study.main(shipped_file("ppo-context", 0), rounds=3, out=tmp_path)
     network, card = load_policy(tmp_path / "ppo-memory-0.json")
     assert (card.blocks, card.context) == (study.BLOCKS, [])
     assert len(card.learning_curve) == 3
