@@ -33,7 +33,7 @@ from mmc_gym.envs.perturbations import (
 Floats = NDArray[np.float64]
 _SENSES = Noise | Cursor | Delay | Feedback | Timed
 EXAMPLES = 5  # episodes that are shown of a scenario that draws
-_CORNERS, _SAMPLES = 64, 16  # of the draws that are tried when an environment is made
+_CORNERS, _SAMPLES, _FEW = 64, 16, 20  # of the draws that are tried when an environment is made
 
 
 class Strength(NamedTuple):
@@ -44,6 +44,11 @@ class Strength(NamedTuple):
     low: float  #: least value, and the greatest
     high: float
     chosen: tuple[int, int] | None  #: place of the choice among options it needs, and its value
+
+    @property
+    def whole(self) -> bool:
+        """Whether only whole numbers are drawn: of a joint, or of an option."""
+        return not (np.asarray(self.distribution.ppf(np.linspace(0.01, 0.99, 50))) % 1).any()
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,13 +291,16 @@ class Draws:
         return alone
 
     def samples(self) -> Floats:
-        """Return rows of numbers that may be drawn, (n, m): the middle, extremes and others."""
+        """Return rows of numbers that may be drawn, (n, m): the middle, extremes and others.
+
+        Each option is among them, and each of a few whole numbers, such as those of the joints.
+        """
         count, random = len(self.strengths), np.random.default_rng(0)
         others = self.numbers(np.vstack([np.full(count, 0.5), random.random((_SAMPLES, count))]))
         corners, single = np.empty((_CORNERS, count)), []
         for place, one in enumerate(self.strengths):
-            is_option = isinstance(one.distribution, OneOf)
-            ends = range(int(one.high) + 1) if is_option else (one.low, one.high)
+            is_few = one.high - one.low <= _FEW and one.whole
+            ends = np.arange(one.low, one.high + 1) if is_few else (one.low, one.high)
             corners[:, place] = random.permutation(np.resize(ends, _CORNERS))
             for end in ends:
                 single.append(others[0].copy())

@@ -518,16 +518,21 @@ class ReachSetup:
         return checked
 
     def _check_context(self, context: Any) -> dict[str, NDArray[np.float64]]:
-        names = [one.name for one in self.draws.strengths] if self.draws else []
+        strengths = {one.name: one for one in self.draws.strengths} if self.draws else {}
         name = "options['context']"
         require(isinstance(context, Mapping), name, context, "a mapping of numbers by name")
         checked = {}
         for key, value in context.items():
             if str(key).startswith("_"):  # the masks of Gymnasium's vector infos
                 continue
-            require_choice(name, key, names)
+            require_choice(name, key, list(strengths))
+            one = strengths[key]
             array = require_array(f"{name}[{key!r}]", value).astype(np.float64)
             require(not np.isinf(array).any(), f"{name}[{key!r}]", value, "finite")
+            if one.whole:
+                fine = np.isin(array[~np.isnan(array)], np.arange(one.low, one.high + 1)).all()
+                accepted = f"a whole number from {one.low:g} to {one.high:g}"
+                require(bool(fine), f"{name}[{key!r}]", value, accepted)
             checked[key] = array
         if self.draws and not any(one.ndim for one in checked.values()):
             try:

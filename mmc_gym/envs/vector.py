@@ -97,6 +97,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
         body, servo, others = setup.body, setup.action.servo, setup.others
+        self._may_lock = {joint for one in others for joint in one.lockable_joints}
         self._body = make_arms(setup.engine, body, num_envs, servo, arguments.threads, others)
         self._draws = setup.draws
         first = np.zeros((1, 0)) if setup.draws is None else setup.draws.samples()[:1]
@@ -231,6 +232,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         require(
             kinds[0] == kinds[1] and bool(kinds[0][0]), "perturbations", perturbations, accepted
         )
+        joints = {joint for one in setup.others for joint in one.lockable_joints}
+        accepted = f"such that only joints lock that could lock before: {sorted(self._may_lock)}"
+        require(joints <= self._may_lock, "perturbations", perturbations, accepted)
         self._arguments, self.setup, self._of_all, self._draws = (
             arguments,
             setup,

@@ -97,6 +97,28 @@ def test_a_vector_of_drawn_arms_is_single_arms(env_id, perturbations, mode, engi
     sync.close()
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_every_joint_that_may_be_drawn_locks(engine):
+    """Of five, more than there are ends and a middle of the range."""
+    options = ["gravity-0..60", "locked-1..5", "longer-0..20", "delay-0..100", "rotation-0..60"]
+    made = {"segment_lengths": (1.0,) * 6, "perturbations": OneOf(*options)}
+    env = gym.make_vec("MMCReach-v0", 100, engine=engine, torque_limit=2e4, **made)
+    _, info = env.reset(seed=0)
+    locked = np.flatnonzero(info["context"]["choice"] == 1)
+    joints = info["context"]["locked"][locked].astype(int) - 1
+    assert set(joints) == {*range(5)}
+    before = env.unwrapped.arms.joint_angles.copy()
+    for _ in range(10):
+        env.step(np.full((100, 6), 0.5, np.float32))
+    turned = np.abs(env.unwrapped.arms.joint_angles - before)
+    assert turned[locked, joints].max() < 0.01 < np.delete(turned, locked, 0).min()
+    with pytest.raises(UserError, match="whole number from 1 to 5, got 6"):
+        env.reset(options={"context": {"locked": 6}})
+    env.unwrapped.perturbations = OneOf(options[0], "locked-2..3", *options[2:])
+    with pytest.raises(UserError, match="only joints lock that could lock before"):
+        env.unwrapped.perturbations = OneOf(options[0], "locked-2..6", *options[2:])
+
+
 def test_strengths_are_drawn_as_their_distributions():
     drawn = {
         "rotation": uniform(-60, 120),

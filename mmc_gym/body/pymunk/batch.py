@@ -24,6 +24,7 @@ from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
+from mmc_gym._errors import require
 from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters
 from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
 from mmc_gym.body.pymunk.linkage import (
@@ -205,6 +206,9 @@ class ArmGroup:
     ) -> None:
         """Place the arms `members` of the group; `scratch` is an empty Space."""
         of_members = parameters or [self.linkages[member].parameters for member in members]
+        for member, p in zip(members, of_members):
+            is_possible = self._is_apart or self.linkages[member].can_become(p)
+            require(is_possible, "parameters", p, "such as those of `others`, or between them")
         kept = []
         for member, p in zip(members, of_members):
             linkage, space = self.linkages[member], self._spaces[member * self._is_apart]
