@@ -150,6 +150,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
+    """Yield headings and texts that describe a scenario, or an environment of your own."""
     env = found.make()
     setup: Any = env.get_wrapper_attr("setup")
     task = setup.task

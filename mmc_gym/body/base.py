@@ -142,8 +142,8 @@ class ArmBatch(ABC):
     ) -> None:
         """Build equal arms, stretched along the x axis and at rest; see `SingleArm`.
 
-        The number of threads that simulate the arms does not change the result.  If there are
-        `others`, arms can be given other parameters at a reset: such as these, or between them.
+        The number of threads does not change the result.  With `others`, a reset can give arms new
+        parameters: those of `others`, or values between them.
         """
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
@@ -169,9 +169,9 @@ class ArmBatch(ABC):
     ) -> None:
         """Place k of the arms, see `SingleArm.reset`.  The others do not change.
 
-        Angles and velocities are (k, N); `arms` are k different indices, or None for all.  Arms
-        with others take new `parameters`, as `ArmColumns` or a sequence one for each; whether
-        they have `joint_limits` stays.
+        Angles and velocities are (k, N); `arms` are k different indices, or None for all.  If the
+        batch was built with `others`, new `parameters` are taken: `ArmColumns` of k arms, or a
+        sequence of k.  An arm with `joint_limits` must keep some, and one without gets none.
         """
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]

@@ -222,7 +222,7 @@ class ArmColumns(ArmParameters):
         """Leave the numbers as they are."""
 
     def lockable(self, count: int) -> NDArray[np.bool_]:
-        """Return which joints of `count` arms are among `lockable_joints`, (count, N)."""
+        """Return a mask of the lockable joints of `count` arms, (count, N)."""
         found = np.zeros((count, len(self.segment_lengths)), dtype=bool)
         for joint in self.lockable_joints:
             joints = np.broadcast_to(joint, count)
@@ -249,6 +249,11 @@ class ArmColumns(ArmParameters):
 def stacked(values: Iterable[Any]) -> NDArray[np.float64]:
     """Return n numbers, or arrays (k,) of the numbers of k arms, as an array (n,) or (k, n)."""
     return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float64)
+
+
+def joints_that_lock(arms: Iterable[ArmParameters]) -> set[int]:
+    """Return the joints that are lockable in any of these arms."""
+    return {joint for arm in arms for joint in arm.lockable_joints}
 
 
 def _has_arrays(value: Any) -> bool:

@@ -44,16 +44,12 @@ class Strength(NamedTuple):
     low: float  #: least value, and the greatest
     high: float
     chosen: tuple[int, int] | None  #: place of the choice among options it needs, and its value
-
-    @property
-    def whole(self) -> bool:
-        """Whether only whole numbers are drawn: of a joint, or of an option."""
-        return not (np.asarray(self.distribution.ppf(np.linspace(0.01, 0.99, 50))) % 1).any()
+    whole: bool  #: whether only whole numbers are drawn: of a joint, or of an option
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A perturbation, and which of the drawn numbers are its fields."""
+    """A perturbation, and the places of its fields among the drawn numbers."""
 
     perturbation: Perturbation
     family: Family | None  #: that makes it from its strength, if that has a range
@@ -62,7 +58,7 @@ class Part:
     ends: tuple[float, float] = (0.0, 0.0)  #: of the family's range
 
     def make(self, numbers: Sequence[Any]) -> Perturbation:
-        """Return it with these drawn numbers."""
+        """Return the perturbation with these drawn numbers: m numbers, or m columns (k,)."""
         drawn, timed = [numbers[place] for place in self.places], self.perturbation
         one = _untimed(timed)
         made = one
@@ -79,34 +75,35 @@ class Part:
 
     @cached_property
     def is_alone(self) -> bool:
-        """Whether as an option it has to be left out where it is not chosen."""
+        """Whether no strength of it changes nothing: it is left out where it is not chosen."""
         return not _untimed(self.perturbation).neutral
 
     @cached_property
     def _ends(self) -> Any:
-        """Its perturbation at both ends of its family's range; or twice itself."""
+        """The perturbation at both ends of its range; without a range, itself twice."""
         one = _untimed(self.perturbation)
         return (one, one) if self.family is None else [*map(self.family.make, self.ends)]
 
     @cached_property
     def _varied(self) -> list[str]:
-        """The names of the fields of its perturbation that are drawn."""
+        """The names of the perturbation's fields that are drawn."""
         low, high = self._ends
         if self.family is None:
             return drawn_fields(low)
         return [name for name in _fields(low) if getattr(low, name) != getattr(high, name)]
 
     def _strength(self, name: str, value: Any) -> Any:
-        """Return the number that is drawn if this field has a value."""
+        """Return the drawn number that gives the field `name` this value."""
         if self.family is None or value is None:
             return value
         (low, high), (first, last) = self.ends, (getattr(one, name) for one in self._ends)
         return low + (high - low) * (value - first) / (last - first)
 
     def read(self, change: Change | None) -> list[float | None] | None:
-        """Return the numbers by which it is this perturbation; None if it never is.
+        """Return the drawn numbers that make it the perturbation of `change`; None if none do.
 
-        Those by which it changes nothing, without a perturbation; None in it for one without.
+        Without a change, return the numbers that change nothing, None in the place of one that
+        always changes something.
         """
         if change is None:
             none = _untimed(self.perturbation).neutral
@@ -175,18 +172,19 @@ class Draws:
     def _number(self, name: str, distribution: Any, chosen: tuple[int, int] | None) -> int:
         same = sum(one.name.partition("#")[0] == name for one in self.strengths)
         name = f"{name}#{same + 1}" if same else name
-        self.strengths.append(Strength(name, distribution, *ends_of(distribution), chosen))
+        whole = not (distribution.ppf(np.linspace(0.01, 0.99, 50)) % 1).any()
+        self.strengths.append(Strength(name, distribution, *ends_of(distribution), chosen, whole))
         return len(self.strengths) - 1
 
     def numbers(self, uniform: Floats) -> Floats:
-        """Return what k arms draw, (k, m), from numbers that are uniform in [0, 1)."""
+        """Return the m drawn numbers of k arms, (k, m), from uniform numbers in [0, 1), (k, m)."""
         drawn = np.empty_like(uniform)
         for place, one in enumerate(self.strengths):
             drawn[:, place] = np.clip(one.distribution.ppf(uniform[:, place]), one.low, one.high)
         return drawn
 
     def context(self, numbers: Floats) -> dict[str, Any]:
-        """Return the numbers (..., m) by name; NaN where an option was not chosen."""
+        """Return the drawn numbers (..., m) by name; NaN where their option was not chosen."""
         context = {}
         for place, one in enumerate(self.strengths):
             shown = numbers[..., place]
@@ -196,10 +194,10 @@ class Draws:
         return context
 
     def shown(self, numbers: Floats) -> NDArray[np.float32]:
-        """Return the context as it is observed, from (..., m).
+        """Return the observed context, (..., c), of drawn numbers, (..., m).
 
-        Numbers are scaled to ±1, and 0 in an option that was not chosen.  In the place of a choice
-        there is for each option, None excepted, 1 if it was chosen and else 0.
+        Strengths are scaled to ±1; those of an option that was not chosen are 0.  A choice becomes
+        one number for each option but None: 1 if it was chosen, else 0.
         """
 
         def is_chosen(place: int, option: int) -> Any:
@@ -208,9 +206,9 @@ class Draws:
         return np.clip(self._shown(numbers, is_chosen), -1.0, 1.0)
 
     def shown_of(self, changes: Sequence[Change]) -> NDArray[np.float32]:
-        """Return the context of other perturbations as it is observed: beyond ±1 if they are.
+        """Return the observed context, (c,), of given perturbations; beyond the ranges, beyond ±1.
 
-        What no perturbation sets is as it changes nothing, or 0.
+        A strength that no perturbation sets is the one that changes nothing, or else shown as 0.
         """
         low, high = np.array([[one.low, one.high] for one in self.strengths]).T
         numbers, read = (low + high) / 2, [part.read(None) for part in self._parts]
@@ -247,7 +245,7 @@ class Draws:
         return np.stack(columns, axis=-1).astype(np.float32)
 
     def set(self, numbers: Floats, context: dict[str, Floats] | None) -> Floats:
-        """Return the numbers, (k, m), with those of a context in their places."""
+        """Return drawn numbers, (k, m), overwritten by those of a context that are not NaN."""
         for place, one in enumerate(self.strengths):
             given = (context or {}).get(one.name)
             if given is not None:
@@ -255,9 +253,9 @@ class Draws:
         return numbers
 
     def perturbations(self, numbers: Floats) -> list[Perturbation]:
-        """Return the perturbations of one arm, from (m,), or of k arms as arrays, from (k, m).
+        """Return the perturbations of an arm, from (m,), or of k arms as arrays, from (k, m).
 
-        None of the k arms are alone.
+        Of k arms, none may be alone, see `are_alone`.
         """
         is_one = numbers.ndim == 1
         columns = numbers.tolist() if is_one else [*np.ascontiguousarray(numbers.T).view(Drawn)]
@@ -280,11 +278,11 @@ class Draws:
 
     @property
     def may_be_alone(self) -> bool:
-        """Whether arms may be drawn that cannot be computed as arrays."""
+        """Whether a draw is possible that arrays of many arms cannot hold."""
         return bool(self._alone)
 
     def are_alone(self, numbers: Floats) -> NDArray[np.bool_]:
-        """Return which of k arms, from (k, m), cannot be computed as arrays."""
+        """Return which of k arms, (k,), drew what arrays cannot hold, from their numbers (k, m)."""
         alone = np.zeros(len(numbers), dtype=bool)
         for place, option in self._alone:
             alone |= numbers[:, place] == option
@@ -320,7 +318,7 @@ def _fields(one: Perturbation) -> list[str]:
 
 
 def senses_of(perturbations: Sequence[Perturbation]) -> list[Perturbation]:
-    """Return those that disturb the senses."""
+    """Return the perturbations that disturb the senses."""
     return [one for one in perturbations if isinstance(one, _SENSES)]
 
 
@@ -328,17 +326,17 @@ def senses_of(perturbations: Sequence[Perturbation]) -> list[Perturbation]:
 
 
 def of_many(one: Perturbation, count: int) -> Any:
-    """Return a perturbation of `count` arms, all like `one`."""
+    """Return a perturbation whose fields are arrays (count,), all equal to those of `one`."""
     return _mapped(one, lambda value: np.full(count, value, np.float64))
 
 
 def of_some(many: Any, arms: Any) -> Any:
-    """Return the perturbations of some of the arms; numbers in them are those of all."""
+    """Return a perturbation of many arms for some of them; a plain number is that of all arms."""
     return _mapped(many, lambda value: value[arms] if isinstance(value, np.ndarray) else value)
 
 
 def write(many: Any, arms: NDArray[np.intp], new: Any) -> None:
-    """Write new perturbations, with numbers or arrays (k,), for k of the arms."""
+    """Overwrite the fields of a perturbation of many arms, for k of them, by numbers or (k,)."""
     for name, value in vars(many).items():
         given = getattr(new, name)
         for to, given_one in zip(*_pairs(value, given), strict=True):
@@ -353,7 +351,7 @@ def _pairs(value: Any, given: Any) -> tuple[Any, Any]:
 
 
 def _mapped(value: Any, change: Any) -> Any:
-    """Return a copy in which each number, or array, is changed."""
+    """Return a copy of a perturbation, with `change` applied to each number and array in it."""
     if isinstance(value, Perturbation):
         made = object.__new__(type(value))
         vars(made).update({name: _mapped(one, change) for name, one in vars(value).items()})

@@ -24,7 +24,7 @@ from mmc_gym._errors import (
 )
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
-from mmc_gym.body.parameters import stacked
+from mmc_gym.body.parameters import joints_that_lock, stacked
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.drawn import of_many, of_some, write
 from mmc_gym.envs.reach import GoalEnvironment, HandSight, Info, reward_and_info, with_context
@@ -97,7 +97,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
         body, servo, others = setup.body, setup.action.servo, setup.others
-        self._may_lock = {joint for one in others for joint in one.lockable_joints}
+        self._may_lock = joints_that_lock(others)
         self._body = make_arms(setup.engine, body, num_envs, servo, arguments.threads, others)
         self._draws = setup.draws
         first = np.zeros((1, 0)) if setup.draws is None else setup.draws.samples()[:1]
@@ -232,9 +232,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         require(
             kinds[0] == kinds[1] and bool(kinds[0][0]), "perturbations", perturbations, accepted
         )
-        joints = {joint for one in setup.others for joint in one.lockable_joints}
         accepted = f"such that only joints lock that could lock before: {sorted(self._may_lock)}"
-        require(joints <= self._may_lock, "perturbations", perturbations, accepted)
+        may_lock = joints_that_lock(setup.others) <= self._may_lock
+        require(may_lock, "perturbations", perturbations, accepted)
         self._arguments, self.setup, self._of_all, self._draws = (
             arguments,
             setup,
@@ -343,7 +343,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._body.reset([one.joint_angles for one in trials], arms, parameters=bodies)
 
     def _begin(self, arms: Indices, drawn: Episodes | ReachSetup) -> None:
-        """Keep what steps need of what these arms have drawn."""
+        """Store the lock times and disturbances that these arms drew, for the steps to come."""
         self._disturbance = None
         self._lock_steps[arms] = drawn.lock_steps
         for many, new in zip(self._parts, drawn.parts, strict=True):
@@ -380,7 +380,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._targets = self._paths[self._all, self._places]
 
     def _restart(self, infos: Info, over: Bools) -> Info:
-        """Restart the arms whose episodes are over; add how they ended to the infos (SAME_STEP)."""
+        """Restart the arms whose episodes are over, and add their last infos (SAME_STEP)."""
         arms, shown = np.flatnonzero(over), self._with_context(self._arrived())
         final_observations = np.full(self.num_envs, None, dtype=object)
         ended = pick(shown, arms)  # a copy
@@ -404,13 +404,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return self._with_senses(state, *self._compiled.look(state))
 
     def _move_and_look(self, actions: NDArray[np.floating]) -> Looked:
-        """Do the work of `_move` and `_look` in one compiled pass."""
+        """Move the arms and look at them in one compiled pass, as `_move` and `_look` do."""
         assert self._compiled is not None
         state = self._state()
         return self._with_senses(state, *self._compiled.move_and_look(actions, state))
 
     def _state(self) -> State:
-        """Return what the compiled step reads and writes."""
+        """Return the state that the compiled step needs besides that of the arms."""
         return State(
             self._seen_hands(_EVERY),
             self._targets,
@@ -480,13 +480,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return observation
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
-        """Tell which arms have their last target: only reaching that one is a success."""
+        """Return which arms have their last target; only reaching that one is a success."""
         if self.setup.task.advance == "time":
             return np.ones(len(self._all[arms]), dtype=bool)
         return np.asarray(self._places[arms] == self._last_places[arms])
 
     def _shown(self) -> Any:
-        """Return what `step` shows."""
+        """Return the observations that `step` and `reset` return."""
         arrived = self._arrived()
         is_kept = self._copy and arrived is self._late[0]
         return self._with_context(deepcopy(arrived) if is_kept else arrived)
@@ -496,7 +496,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return with_context(observation, self._context_shown) if self.context_size else observation
 
     def _arrived(self) -> Any:
-        """Return what arms see now: the last observation, or one of some control steps ago."""
+        """Return the observations that have arrived: the newest, or that of `delay` steps ago."""
         late = self._now(_EVERY).delay
         if not isinstance(late, np.ndarray) or len(self._late) == 1:
             return self._late[0]
@@ -514,7 +514,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return np.stack(cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
 
     def _now(self, arms: Indices | slice) -> Disturbance:
-        """Return what disturbs the senses of these arms."""
+        """Return the present disturbance of the senses of these arms."""
         setup, parts = self.setup, self._parts
         if not parts:
             return setup.disturbance(self._steps[arms]) if setup.is_timed else setup.full
@@ -526,14 +526,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return setup.disturbance(self._steps[arms], parts)
 
     def _delay_by(self, late: list[Any], steps: int) -> None:
-        """Make room for a delay, at least; the oldest of the present observations stays longer."""
+        """Make room for at least `steps` of delay; the oldest observation fills the new places."""
         self._late = [late[0]] * (steps + 1 - len(late)) + late
         if len(self._late) > 1:  # of a goal environment, whose observations are dicts, there is one
             self._line, self._newest = np.stack(self._late), len(self._late) - 1
             self._late = [*self._line]
 
     def _send(self, observation: Any) -> None:
-        """Let this observation be the newest on its way."""
+        """Send an observation on its way, and drop the oldest."""
         oldest = self._late.pop(0)
         if self._late and observation is not oldest:
             oldest[...] = observation
@@ -546,7 +546,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return np.stack([self._seen_hands(arms), self._targets[arms]], axis=1)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
-        """Let these arms see this observation until the delay of the senses is over."""
+        """Show these arms their first observation until the delay of the senses is over."""
         for late in self._late:
             put(late, arms, observation)
 

@@ -26,7 +26,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import require
 from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters
-from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
+from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, joints_that_lock, stacked
 from mmc_gym.body.pymunk.linkage import (
     FULL,
     MOTION,
@@ -276,10 +276,9 @@ class PymunkArmBatch(ArmBatch):
         fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
         self._arms_per_group = most = min(ARMS_PER_GROUP, fair)
         every = self.parameters, *self._others
-        locks = {joint for one in every for joint in one.lockable_joints}
         self._groups = [
             ArmGroup(
-                replace(self.parameters, lockable_joints=tuple(sorted(locks))),
+                replace(self.parameters, lockable_joints=tuple(sorted(joints_that_lock(every)))),
                 self._servo,
                 slice(first, min(first + most, self._count)),
                 self._others,
