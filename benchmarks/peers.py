@@ -1,7 +1,7 @@
-"""Environments of this package and of others that are timed: how each plays an episode, and which.
+"""The timed environments, of this package and of others, and how each plays an episode.
 
-An episode is all its steps and the reset.  The arms of a vector environment begin and end theirs
-together; those with autoreset take one more call for the reset, which is not counted as steps.
+An episode is a reset and all its steps.  The arms of a vector environment begin and end their
+episodes together; with autoreset one more call makes the reset, and is not counted as steps.
 Actions are drawn beforehand, uniformly, and are the same in every episode.
 """
 
@@ -24,12 +24,12 @@ PEER = "Reacher-v5"
 
 @dataclass(frozen=True)
 class Player:
-    """Plays episodes of as many steps each.
+    """An environment to time, whose episodes all have the same number of steps.
 
     Attributes:
-        play: plays one episode of every arm.
-        steps: steps in it, those of all arms together.
-        close: frees what `play` uses.
+        play: plays one episode with every arm.
+        steps: number of steps in a call of `play`, summed over the arms.
+        close: closes the environment.
     """
 
     play: Callable[[], None]
@@ -38,7 +38,7 @@ class Player:
 
 
 def single(env_id: str, **arguments: Any) -> Player:
-    """One environment, as `gym.make` returns it."""
+    """Return the player of one environment, made by `gym.make`."""
     env = gym.make(env_id, **arguments)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -53,20 +53,20 @@ def single(env_id: str, **arguments: Any) -> Player:
 
 
 def vector(env_id: str, num_envs: int, mode: str | None = None, **arguments: Any) -> Player:
-    """A vector environment, as `gym.make_vec` returns it.
+    """Return the player of a vector environment, made by `gym.make_vec`.
 
     Args:
-        env_id: of the environment.
-        num_envs: arms.
+        env_id: the environment's id.
+        num_envs: number of arms.
         mode: Gymnasium's `vectorization_mode`; None chooses the environment's own.
-        arguments: of the environment.
+        arguments: keyword arguments of the environment.
     """
     env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **arguments)
     return _vector(env, num_envs, env.spec.max_episode_steps or 0)
 
 
 def envpool(env_id: str, num_envs: int, threads: int) -> Player:
-    """EnvPool's vector environment, which C++ threads step."""
+    """Return the player of EnvPool's vector environment, which C++ threads step."""
     import envpool
 
     env = envpool.make_gymnasium(env_id, num_envs=num_envs, num_threads=threads, seed=0)
@@ -89,7 +89,10 @@ def _vector(env: Any, num_envs: int, episode: int) -> Player:
 
 
 def rebuilt(env_id: str, family: str, low: float, high: float) -> Player:
-    """A new environment for each episode, as Gymnasium's own tutorial draws bodies."""
+    """Return a player that makes a new environment, with another body, for each episode.
+
+    Gymnasium's own tutorial draws bodies in this way.
+    """
     drawn = np.random.default_rng(0)
     first = gym.make(env_id)
     actions = [first.action_space.sample() for _ in range(first.spec.max_episode_steps or 0)]
@@ -105,7 +108,7 @@ def rebuilt(env_id: str, family: str, low: float, high: float) -> Player:
 
 
 def carl(feature: str, low: float, high: float) -> Player:
-    """CARL's pendulum, with a context of another kind in each episode."""
+    """Return the player of CARL's pendulum, with another value of a feature in each episode."""
     from carl.envs import CARLPendulum
 
     drawn = np.random.default_rng(0).uniform(low, high, 1000)
@@ -121,7 +124,7 @@ def carl(feature: str, low: float, high: float) -> Player:
 
 
 def dm_control(domain: str, task: str) -> Player:
-    """One environment of dm_control's suite, with its own settings."""
+    """Return the player of one environment of dm_control's suite, with its own settings."""
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn
     from dm_control import suite
 
@@ -143,7 +146,7 @@ def dm_control(domain: str, task: str) -> Player:
 
 
 def gymnax(name: str, num_envs: int) -> Player:
-    """Arms of gymnax, stepped together by XLA, on as many threads as it likes."""
+    """Return the player of gymnax's arms, stepped together by XLA, which chooses its threads."""
     import gymnax
     import jax
 
@@ -169,11 +172,11 @@ class Entry:
     """One row of a table.
 
     Attributes:
-        environment: its name.
-        variant: what is particular about it.
-        make: makes it.
-        arms: how many there are.
-        threads: how many threads, or processes, step them.
+        environment: name of the environment.
+        variant: its particular settings, in words.
+        make: makes its player.
+        arms: number of arms.
+        threads: number of threads, or processes, that step the arms.
     """
 
     environment: str
@@ -233,7 +236,7 @@ VECTOR = (
 
 ENGINES = ("pymunk", "analytic")
 
-# Families, their range, and strengths that all arms have instead.
+# Families of perturbations, the range to draw from, and fixed strengths to compare with.
 DRAWN = (
     ("longer", "-30..35", (-20, 0, 20)),
     ("hand-mass", "0..10", (2, 5, 8)),
@@ -249,7 +252,7 @@ DRAWN = (
 
 
 def drawn_entries(engine: str, arms: int) -> dict[str, Entry]:
-    """Return arms without perturbations (""), with each drawn, and with each of its strengths."""
+    """Return entries by perturbation: none (""), then each of `DRAWN`, drawn or fixed."""
     names = [f"{name}-{one}" for name, drawn, fixed in DRAWN for one in (drawn, *fixed)]
     return {
         name: _native_entry(name, arms, 1, engine=engine, perturbations=name or ())

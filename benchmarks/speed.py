@@ -50,7 +50,7 @@ from mmc_gym.network import MMCNetwork
 
 Times: TypeAlias = Mapping[Entry, NDArray[np.float64]]
 PACKAGES = ("numpy", "gymnasium", "pymunk", "numba", "mujoco", "dm_control", "envpool", "gymnax")
-NETWORKS = (10_000, 1_000_000)  # how many run together; a copy of few is a matter of the call
+NETWORKS = (10_000, 1_000_000)  # run together; copying few would time the call alone
 ITERATIONS = 20  # of a network, per call
 COPY = "copy of the state"  # reads and writes each byte once, as any iteration must
 AGENTS = ("mmc", "mmc-body", "ppo")
@@ -61,12 +61,12 @@ class Arguments:
     """Time the environments in turn.
 
     Attributes:
-        rounds: rounds, in each of which every environment has one turn.
-        seconds: a turn is as many episodes as fit into this time, at least one.
-        growth_rounds: rounds for the numbers of arms; 0 leaves them out.
-        drawn_rounds: rounds for strengths that each episode draws; 0 leaves them out.
-        out: folder of all runs.
-        check: whether to fail on a loss of speed since the runs before.
+        rounds: number of rounds; in each, every environment has one turn.
+        seconds: length of a turn: as many episodes as fit into it, at least one.
+        growth_rounds: rounds for the table of numbers of arms; 0 leaves it out.
+        drawn_rounds: rounds for the table of strengths drawn for each episode; 0 leaves it out.
+        out: folder that keeps the numbers of all runs.
+        check: whether to fail on a loss of speed since the earlier runs.
     """
 
     rounds: int = 10
@@ -78,9 +78,9 @@ class Arguments:
 
 
 def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
-    """Make the environments whose packages are installed, and name the others."""
+    """Return the environments whose packages are installed; print the names of the others."""
     made = {}
-    # Processes fork off while this one still has no threads.
+    # Async first: its processes must fork while this one still has no threads.
     for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
         try:
             made[entry] = entry.make()
@@ -91,7 +91,7 @@ def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
 
 
 def seconds_per_step(made: Mapping[Entry, Player], rounds: int, seconds: float) -> Times:
-    """Return the mean time of a step, one value per round."""
+    """Return the mean seconds per step of each entry, (rounds,), and close the environments."""
     times = interleaved({entry: one.play for entry, one in made.items()}, rounds, seconds)
     for one in made.values():
         one.close()
@@ -99,12 +99,12 @@ def seconds_per_step(made: Mapping[Entry, Player], rounds: int, seconds: float) 
 
 
 def speed(seconds: NDArray[np.float64]) -> str:
-    """Return steps per second to three digits."""
+    """Return the median steps per second as text, to three significant digits."""
     return f"{float(f'{1 / np.median(seconds):.3g}'):,.0f}"
 
 
 def ratios(times: Times, entry: Entry, reference: Entry) -> tuple[str, str]:
-    """Return how many times as fast as the reference: median and quartiles over the rounds."""
+    """Return the entry's speed relative to the reference, as text: median, and quartiles."""
     if reference not in times:
         return "–", "–"
     low, middle, high = np.percentile(times[reference] / times[entry], [25, 50, 75])
@@ -124,7 +124,7 @@ def single_table(times: Times) -> Table:
 
 
 def vector_table(times: Times) -> Table:
-    """Make the table of vector environments, with EnvPool's with as many threads."""
+    """Make the table of vector environments, compared with EnvPool on as many threads."""
     headings = ("arms", "threads", "steps per second", f"to {PEER}", "quartiles", "to EnvPool")
     title = f"many arms; ratios to one {PEER}, and to EnvPool with as many threads"
     table = empty_table(title, ("environment", ""), headings)
@@ -161,9 +161,9 @@ def growth_table(times: Times) -> Table:
 
 
 def drawn_table(rounds: int, console: Console) -> Table:
-    """Make the table of arms that draw a strength for each episode, against arms that all have one.
+    """Make the table that compares strengths drawn for each episode with fixed strengths.
 
-    Some strengths take the physics longer, so the latter time is a mean over three strengths.
+    Some strengths take the physics longer, so the time of fixed ones is a mean over three.
     """
     headings = ("µs per step", "with equal strengths", "without perturbations")
     title = "native, strengths drawn for each episode; speed relative to arms"
@@ -181,7 +181,7 @@ def drawn_table(rounds: int, console: Console) -> Table:
 
 
 def bytes_per_arm(engine: str, counts: Sequence[int]) -> list[float]:
-    """Return the bytes per arm of vector environments of these sizes, in a fresh process."""
+    """Return the bytes per arm of vector environments of `counts` arms, from a fresh process."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(_grow, (engine, counts))
 
@@ -205,7 +205,7 @@ def _resident_size() -> float:
 
 
 def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float64]]]:
-    """Return seconds per arm and iteration by network and number, and of a copy of the state."""
+    """Return seconds per arm and iteration, (rounds,), by call (a copy or network) and arms."""
     random, found = np.random.default_rng(0), dict[str, dict[int, NDArray[np.float64]]]()
     for count in NETWORKS:
         posture = random.uniform(-np.pi, np.pi, (count, 3))
@@ -221,7 +221,7 @@ def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float6
 
 
 def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
-    """Return seconds per action of agents, for one arm."""
+    """Return seconds per action of each of `AGENTS`, (rounds,), for one arm."""
     env = gym.make(OURS)
     observation, _ = env.reset(seed=0)
     agents = {name: make_agent(name, env) for name in AGENTS}
@@ -229,14 +229,14 @@ def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
     for name, agent in agents.items():
         _, state = agent.predict(observation)
         calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    torch.set_num_threads(1)  # small networks act faster so
+    torch.set_num_threads(1)  # small networks act faster on one thread
     return interleaved(calls, arguments.rounds, arguments.seconds / 3)
 
 
 def rows_of(
     times: Mapping[Any, NDArray[np.float64]], names: Mapping[Any, str], peer: Any
 ) -> list[SpeedRow]:
-    """Return the rows of calls that took turns; none without their peer."""
+    """Return a row per call, with its speed relative to the peer; none if the peer is missing."""
     if peer not in times:
         return []
     rows = []
@@ -252,7 +252,7 @@ def rows_of(
 
 
 def rows_table(title: str, unit: str, scale: float, rows: Iterable[SpeedRow]) -> Table:
-    """Make a table of kept rows."""
+    """Make a table of rows, with their seconds times `scale` in `unit`, and their ratios."""
     table = empty_table(title, ("",), (unit, "ratio", "quartiles"))
     for row in rows:
         numbers = (
@@ -277,7 +277,7 @@ def name_of(entry: Entry) -> str:
 
 
 def threads_of(entry: Entry) -> str:
-    """Return how many threads step the arms."""
+    """Return the number of threads that step the arms, in words."""
     return f"{entry.threads} thread{'s' * (entry.threads > 1)}"
 
 
@@ -292,7 +292,7 @@ def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Tab
 
 
 def machine() -> str:
-    """Name the machine and the versions."""
+    """Return the machine, and the versions of Python and of the timed packages, as text."""
     found = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
     for package in PACKAGES:
         try:

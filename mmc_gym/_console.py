@@ -27,7 +27,7 @@ _ASCII = str.maketrans(
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return a console, as wide as the terminal or COLUMNS says; `WIDTH` without, or if too few."""
+    """Return a console as wide as the terminal or COLUMNS; `WIDTH` if neither, or too narrow."""
     console = Console(stderr=stderr)
     has_width = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
     is_wide_enough = has_width and console.width >= _NARROWEST
@@ -35,7 +35,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def progress_bar() -> Progress:
-    """Return a bar of task, progress and times on stderr; it is hidden without a terminal."""
+    """Return a progress bar with task, count and times on stderr; hidden without a terminal."""
     console = make_console(stderr=True)
     return Progress(
         TextColumn("{task.description}", markup=False),
@@ -50,7 +50,7 @@ def progress_bar() -> Progress:
 
 
 def print_written(console: Console, paths: Iterable[Path]) -> None:
-    """Print the written files, an unbroken line each, so that they can be copied."""
+    """Print the paths of written files, one unbroken line each, so that they can be copied."""
     for path in paths:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
@@ -63,7 +63,7 @@ def text_for(console: Console, text: str, *notes: str) -> Text:
 
 
 def encodable(console: Console, content: str) -> str:
-    """Return a text, in plain ASCII if the console is no terminal or its encoding lacks signs."""
+    """Return a text, in plain ASCII unless the console is a terminal with a UTF encoding."""
     if console.is_terminal and console.encoding.lower().startswith("utf"):
         return content
     content = re.sub(r"(?<=\d)°", " deg", content)

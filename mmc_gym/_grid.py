@@ -1,9 +1,9 @@
-"""Compute one function of many cells, in processes of this machine (loky) or on a Ray cluster.
+"""Call one function on many cells, in processes of this machine (loky) or on a Ray cluster.
 
-A cell is any argument that can be pickled.  Results come back to the calling process, which alone
-keeps anything: the nodes of a cluster may share no file system.  Every worker computes on one
-thread, so that results do not depend on the number of processors.  If a worker or a node dies, its
-cells are computed again.
+A cell is any argument that can be pickled.  Results come back to the calling process, and only that
+process stores any, since the nodes of a cluster may share no file system.  Every worker computes on
+one thread, so that results do not depend on the number of processors.  If a worker or a node dies,
+its cells are computed again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mmc_gym._files import IMPORTED, import_modules
 CellT = TypeVar("CellT")
 Value = TypeVar("Value")
 
-ATTEMPTS = 5  # of a cell on Ray, whose node or worker may die
+ATTEMPTS = 5  # to compute a cell on Ray, whose node or worker may die
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 _GROWTH_SECONDS = 5.0  # after which we look whether the cluster has more nodes
 
@@ -63,25 +63,25 @@ def run_grid(
     on_result: Callable[[int, Value], None] | None = None,
     on_failure: Callable[[int, CellError], None] | None = None,
 ) -> list[Value]:
-    """Compute `function` of every cell, in many processes at once; return results in their order.
+    """Call `function` on every cell, in parallel processes; return results in order of cells.
 
     Args:
-        function: takes one cell.  It must be picklable, depend on its cell only, and have no
-            effect but its result, since it is called again if a worker dies.
+        function: takes one cell.  It must be picklable, depend on its cell only, and have no side
+            effects, since it is called again if a worker dies.
         cells: arguments, which must be picklable.
-        jobs: how many cells are computed at once; 1 computes in this process.  The default is the
+        jobs: number of cells computed at once; 1 computes in this process.  The default is the
             number of processors of this machine, or of the cluster.
         cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
-            machine belongs to, or a local one; "ray://HOST:PORT" for the one whose client server
-            listens there.  A node with other sources of `mmc_gym` refuses work.
+            machine belongs to, or else a local one; "ray://HOST:PORT" for the cluster whose client
+            server listens there.  A node with other sources of `mmc_gym` refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
-            continues, and the result is None.  Then even a single cell is computed in another
+            continues, and the result is None.  If given, even a single cell is computed in another
             process, unless `jobs` is 1.  By default such a death ends the grid, as any error does.
 
     Raises:
-        CellError: if `function` raised.  Before it is raised, the cells that have begun are
-            finished and given to `on_result`; no others begin.
+        CellError: if `function` raised an error, or a worker died twice without `on_failure`.  The
+            cells that have begun are first finished and given to `on_result`; no others begin.
 
     >>> run_grid(abs, [-1, 2, -3], jobs=1)
     [1, 2, 3]
@@ -141,7 +141,7 @@ def run_grid(
 
 
 def check_workers(jobs: int | None, cluster: str | None) -> None:
-    """Raise a `UserError` unless `run_grid` accepts these; do not connect to the cluster."""
+    """Raise a `UserError` unless `run_grid` accepts the arguments; do not connect to a cluster."""
     if jobs is not None:
         require_whole("jobs", jobs)
     if cluster is None:
@@ -171,10 +171,10 @@ def one_torch_thread() -> Iterator[None]:
 
 
 class _Processes:
-    """Processes of this machine, which end when this one does, even if it is killed."""
+    """Worker processes on this machine; they end when this process does, even if it is killed."""
 
     def __init__(self, count: int) -> None:
-        self.room = count  # calls that may be under way
+        self.room = count  # most calls that may run at once
         self._executor = self._start()
 
     def _start(self) -> Any:
@@ -215,7 +215,7 @@ class _Ray:
     """A Ray cluster, with the methods of `_Processes`; it repeats calls that die with a node."""
 
     def __init__(self, cluster: str, jobs: int | None) -> None:
-        """Connect to it, see `run_grid`; "ray" is the one the caller is connected to, if any."""
+        """Connect to `cluster`, see `run_grid`; "ray" keeps the caller's connection, if any."""
         import ray
 
         self._ray: Any = ray
@@ -252,7 +252,7 @@ class _Ray:
 def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
     """Pickle a call, even if its function is defined in a script or notebook.
 
-    As bytes, because arrays that Ray hands over are read-only views of shared memory.
+    Ray gets bytes because arrays that it hands over are read-only views of shared memory.
     """
     try:
         call = cloudpickle.dumps((function, cell))
@@ -264,8 +264,8 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
 def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
     """Run a packed call in a worker.
 
-    The `sources` are the caller's `_sources`, which a worker on another machine must have, too.
-    Return the pickled pair of its value and None, or of None and its error.
+    `sources` is the caller's `_sources()`, which the worker's must equal; None skips this check.
+    Return the pickled pair (value, None) or (None, error).
     """
     try:
         if sources not in (None, _sources()):
@@ -287,7 +287,7 @@ def _run_packed(packed: bytes, sources: str | None = None) -> bytes:
 
 
 def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException | None]:
-    """Return the value of a finished call and None, or None and its error."""
+    """Return (value, None) of a finished call, or (None, error)."""
     try:
         packed = workers.result(call)
     except Exception as error:  # the worker died: an error of the function is in the result

@@ -1,4 +1,4 @@
-"""The base of all agents: the signature of `predict`, and the way from observation to action.
+"""Base classes of all agents: the signature of `predict`, and how observations become actions.
 
 An agent sees only observations, and is given a `ReachInterface`.
 """
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # `import mmc_gym` loads no physics
 
 State = TypeVar("State")
 Started = Sequence[bool] | NDArray[np.bool_] | None
-Layouts = dict[tuple[int, ...], Any]  # the layout of an agent's states, by their batch axes
+Layouts = dict[tuple[int, ...], Any]  # the layout of an agent's states, by batch shape
 
 
 class Predictor(Protocol):
@@ -79,30 +79,31 @@ class Agent(ABC, Generic[State]):
         """
 
     def begin(self, seeds: Sequence[int]) -> State | None:
-        """Return the state in which episodes of these seeds begin; None if nothing is drawn."""
+        """Return the first state of episodes with these seeds; None if the agent draws nothing."""
         del seeds
         return None
 
     @property
     def learns(self) -> bool:
-        """Whether `between_trials` keeps anything."""
+        """Whether the agent keeps anything between trials: it overrides `between_trials`."""
         return type(self).between_trials is not Agent.between_trials
 
     def between_trials(self, state: State | None, rest: float = 0.0) -> State | None:
-        """Return what the agent keeps of a trial for the next one; here nothing, None.
+        """Return the state that the agent keeps for the next trial; None by default.
 
-        The next trial begins with a call of `predict` that is handed the state kept, and no
-        `episode_start`: such a state says itself that another movement begins, in another posture.
-        `state` is what `predict` returned last, `rest` the time beyond the usual till then, s.
+        `state` is the last that `predict` returned; `rest` is the time before the next trial beyond
+        the usual, in s.  The first `predict` of the next trial gets the kept state and no
+        `episode_start`, so the kept state itself must say that another movement begins, in another
+        posture.
         """
         del state, rest
         return None
 
 
 class InternalModelAgent(Agent[State]):
-    """An agent whose state is an internal model of the arm, and which returns joint targets."""
+    """An agent that has an internal model of the arm as its state, and acts by joint targets."""
 
-    #: whether it moves an arm in space (`ReachInterface.arm`); others a planar one
+    #: whether the agent moves an arm in space (`ReachInterface.arm`); if not, a planar arm
     is_in_space: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:
@@ -118,7 +119,7 @@ class InternalModelAgent(Agent[State]):
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:
-        """Return the state of internal models in the sensed postures."""
+        """Return the first state of an episode: internal models in the sensed postures."""
 
     def _resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
         batch = sensed.joint_angles.shape[:-1]
@@ -148,11 +149,11 @@ class JointTargetAgent(InternalModelAgent[State]):
 
 
 class FeedbackAgent(InternalModelAgent[State]):
-    """An agent whose internal model is corrected by all that observations show."""
+    """An agent that corrects its internal model by everything that observations show (`Seen`)."""
 
     @abstractmethod
     def respond(self, state: State, seen: Seen) -> tuple[NDArray[np.float32], State]:
-        """Return actions, and the state after one control step; arrays have a row for each arm."""
+        """Return actions, a row for each of n arms, and the state after one control step."""
 
     @override
     def predict(
@@ -177,7 +178,10 @@ def resumed(
     episode_start: Started,
     layouts: Layouts,
 ) -> State:
-    """Return the state to resume from: made anew by `start` where an episode starts."""
+    """Return `state`, made anew by `start` for each arm whose episode starts, or if it is None.
+
+    Raise a `UserError` if `state` or `episode_start` does not have the layout of this batch.
+    """
     if state is None:
         return start()
     if batch not in layouts:
@@ -205,7 +209,7 @@ def check_no_state(state: object) -> None:
     require(state is None, "state", state, accepted)
 
 
-# A state is an array with the batch in front, a network's state, or a named tuple of such.  Its
+# A state is an array with leading batch axes, a network's state, or a named tuple of states.  Its
 # layout is its type, and the shape of the first array in each of its fields.
 
 
@@ -226,7 +230,7 @@ def _described(state: Any) -> str:
 
 
 def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
-    """Return a state, from `yes` where a condition on the batch axes holds, else from `no`."""
+    """Return a state that is `yes` where `condition`, on the batch axes, holds; `no` elsewhere."""
     return _where(condition, yes, no)
 
 
@@ -255,13 +259,13 @@ _OF_RECORDS = {"RecordEpisodeStatistics", "Monitor", "VecMonitor", "VecCheckNan"
 _OF_FILMS = {"RecordVideo", "VecVideoRecorder", "HumanRendering", "RenderCollection"}
 _OF_PICTURES = {"AddWhiteNoise", "ObstructView"}
 HARMLESS = frozenset(_OF_STEPS | _OF_REWARDS | _OF_RECORDS | _OF_FILMS | _OF_PICTURES)
-"""Names of wrappers that leave observations as they are, and what actions do."""
+"""Names of wrappers that change neither observations nor the effect of actions."""
 
 
 def wrappers_of(env: Any) -> list[Any]:
     """Return the wrappers around an environment, the outermost first.
 
-    Of a vector, those around its first environment follow, if that runs in this process.
+    For a vector, the wrappers of its first environment follow if it runs in this process.
     """
     found = []
     while env is not None:
@@ -276,8 +280,8 @@ def wrappers_of(env: Any) -> list[Any]:
 def changes_contract(wrapper: Any) -> bool:
     """Return whether a wrapper changes what agents see, or what their actions do.
 
-    Of Gymnasium and stable-baselines3 only wrappers that are known not to are trusted.  Your own
-    are, if they keep both spaces.
+    A wrapper of Gymnasium or stable-baselines3 does, unless it is known to be harmless.  Any other
+    wrapper does if it changes the observation space or the action space.
     """
     if type(wrapper).__module__.startswith(("gymnasium.", "stable_baselines3.", "sb3_contrib.")):
         is_off = getattr(wrapper, "norm_obs", True) is False  # VecNormalize, of rewards alone
@@ -298,7 +302,7 @@ def require_plain(env: Any) -> None:
 
 
 def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:
-    """Warn with a `MismatchWarning` if an agent was trained with another arm than that of `env`.
+    """Warn with a `MismatchWarning` if an agent was trained with an arm unlike that of `env`.
 
     Engines do not matter, because they simulate the same arm.  Perturbations do not count, because
     they are intended.
@@ -306,7 +310,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
     here = read_attribute(env, "unperturbed")
     if trained is None or here is None:
         return
-    # The same control step may have other substeps.
+    # Equal control steps may be divided into different substeps.
     left_out = ("segment_masses", "substep", "substeps")
     names = [each.name for each in fields(trained) if each.name not in left_out]
     differences = "; ".join(
@@ -322,7 +326,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
 class RandomAgent(Agent[tuple[np.random.Generator, ...]]):
     """Draws every action uniformly from an action space, by default −1 to 1 for each joint.
 
-    From a state of `begin` each arm has draws of its own; without one, all have them in common.
+    With a state from `begin` each arm draws from its own generator; without, all share one.
     """
 
     def __init__(self, interface: ReachInterface, space: Any = None) -> None:

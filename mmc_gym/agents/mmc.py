@@ -1,8 +1,8 @@
 """The MMC network as a policy: target → internal model → joint targets.
 
 At the start of an episode the network is set to the observed posture.  Then it runs without
-further senses, a few iterations per control step, with its end effector clamped to the target.  The
-servos follow the joint angles of its segments.
+sensing the arm, a few iterations per control step, with its end effector clamped to the target.
+The servos follow the joint angles of its segments.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ from mmc_gym.network.time_base import share, timed_step
 
 
 def network_of_arm(interface: ReachInterface, **settings: Any) -> MMCNetwork:
-    """Return an MMC network of an environment's arm, of two segments or more, with settings."""
+    """Return an MMC network of an environment's arm; `settings` are arguments of `MMCNetwork`.
+
+    Raise a `CannotActError` if the arm has fewer than two segments.
+    """
     lengths = interface.segment_lengths
     if len(lengths) < 2:
         raise CannotActError(f"env must have two segments or more for MMC, got {len(lengths)}")
@@ -49,7 +52,7 @@ class NetworkAgent(JointTargetAgent[State]):
     def __init__(
         self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
     ) -> None:
-        """Make the agent of a network with the environment's segment lengths."""
+        """Make the agent; the network must have as many segments as the environment's arm."""
         require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
         require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
@@ -62,7 +65,7 @@ class NetworkAgent(JointTargetAgent[State]):
 
 
 class MMCAgent(NetworkAgent[MMCState]):
-    """An MMC network that drives the arm; its state is the network's."""
+    """An MMC network that drives the arm; the agent's state is that of the network."""
 
     @override
     def start(self, sensed: Sensed) -> MMCState:
@@ -83,10 +86,10 @@ class MMCAgent(NetworkAgent[MMCState]):
 def run_within_limits(
     interface: ReachInterface, network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
 ) -> MMCState:
-    """Run networks, and keep their joints within the limits.
+    """Return the state after iterations that pull joints back within their limits.
 
-    A joint limit acts like a sensed posture (`network.embodied`).  For an arm with a joint beyond a
-    limit, the nearest posture within the limits is one more computation in the mean, of weight
+    A joint limit acts like a sensed posture (`network.embodied`).  If a joint is beyond a limit,
+    the nearest posture within the limits enters the mean as one more computation, with the weight
     N + 1.  So the other joints take over what that joint cannot do.  Some targets need a detour,
     which the network does not look for.
     """
@@ -104,7 +107,7 @@ def run_within_limits(
 
 
 def bend_where_stuck(network: MMCNetwork, state: MMCState, clamps: Clamps) -> MMCState:
-    """Return the state with arms bent that could not move to their targets, see `leave_line`."""
+    """Return the state; arms that could not move to their targets are bent (`leave_line`)."""
     (hand_row,) = clamps.rows  # the end effector alone
     (hand,) = clamps.values  # (2, ...)
     if hand.tobytes() == state.values[hand_row].tobytes():  # arms are only stuck at a new target
@@ -118,17 +121,19 @@ def bend_where_stuck(network: MMCNetwork, state: MMCState, clamps: Clamps) -> MM
 
 
 def classical_mmc(interface: ReachInterface) -> MMCAgent:
-    """Return the classical network with the paper's constants, one iteration per control step."""
+    """Return an agent of the classical network: the paper's constants, one iteration per step."""
     return MMCAgent(interface, network_of_arm(interface))
 
 
 def neural_mmc(interface: ReachInterface) -> MMCAgent:
-    """Return the network of `dynamic_mmc` with the learned normalizer that ships."""
+    """Return the agent of `dynamic_mmc` with the learned normalizer of this package."""
     return dynamic_mmc(interface, LearnedNormalizer.shipped())
 
 
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None) -> MMCAgent:
-    """Return the dynamic network at its best setting; by default the normalizer is Euclidean.
+    """Return an agent of the dynamic network at its best setting.
+
+    The default normalizer is Euclidean.
 
     With d = N + 1 the linear part converges fastest without oscillation.  The other constants are
     the paper's.  With three iterations per control step it misses about one in a thousand random
@@ -145,18 +150,18 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 
 
 class TimedMMCState(NamedTuple):
-    """State of the agent: the network's, and the movement."""
+    """State of a `TimedMMCAgent`: that of its network, and the movement under way."""
 
-    arm: MMCState  # of the network, which is the internal model of the arm
+    arm: MMCState  # state of the network, which is the internal model of the arm
     movement: MovementTiming
 
 
 class TimedMMCAgent(NetworkAgent[TimedMMCState]):
-    """A kinematic MMC network on a time base that drives the arm, with a bell-shaped speed.
+    """A kinematic MMC network on a time base, which drives the arm with a bell-shaped speed.
 
-    Unlike in `MMCAgent`, the gain of each iteration makes the hand cover the same share of its way
-    as a minimum-jerk movement (`network.time_base`).  `planners` defines when a movement begins and
-    how long it takes.
+    Unlike in `MMCAgent`, the gain varies from iteration to iteration, so that the hand covers the
+    same share of its way as in a minimum-jerk movement (`network.time_base`).  `planners` defines
+    when a movement begins and how long it takes.
     """
 
     @override
@@ -178,7 +183,7 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         return arm.joint_angles, TimedMMCState(arm, one_step_later(movement))
 
     def _within_limits(self, arm: MMCState) -> MMCState:
-        """Return the arms; joints beyond their limits are moved half of the way back."""
+        """Return the network's state with joints beyond their limits moved half of the way back."""
         if self.interface.joint_limits is None:
             return arm
         joint_angles = arm.joint_angles
@@ -189,5 +194,5 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
 
 
 def bell_mmc(interface: ReachInterface) -> TimedMMCAgent:
-    """Return the classical network on a time base, two iterations per control step."""
+    """Return an agent of the classical network on a time base, two iterations per control step."""
     return TimedMMCAgent(interface, network_of_arm(interface), iterations_per_step=2)

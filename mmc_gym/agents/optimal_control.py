@@ -4,19 +4,19 @@ This is the field's normative model of movement (Todorov & Jordan 2002).  No pat
 any time the feedback is optimal under noise that grows with the command.  So it corrects errors
 only where they matter: where they move the hand.
 
-**The given body.**  A joint turns at the speed that its servo is commanded.  The drive a changes
-that speed, and follows the command u with a lag, as muscles do:
+**The given body.**  A joint turns at the speed commanded to its servo.  The drive a changes that
+speed, and follows the command u with a lag, as muscles do:
 
     q̇ = v,     v̇ = a,     τ ȧ = u (1 + c ε) − a,     ε normal
 
 **The task.**  Be at the target after the time T, and stay.  During a reach there is little cost
 but effort.  After it every control step costs, for ever,
 
-    |e|² + ρ² |ṗ|² + η² |v|² + r |u|²,     e target − hand,  p hand
+    |e|² + ρ² |ṗ|² + η² |v|² + r |u|²,     e = target − hand,  p = hand
 
-T = T₀ + d/v̄ for a target at the distance d.  It begins anew when the target jumps.
+T = T₀ + d/v̄ for a target at the distance d.  T begins anew when the target jumps.
 
-**Its solution.**  With the Jacobian J = U S Vᵀ the turned joints Vᵀq are independent: each is a
+**Its solution.**  With the Jacobian J = U Σ Vᵀ the turned joints Vᵀq are independent: each is a
 chain (z, v, a) that moves the hand by s along a column of U, or not at all (s = 0).  Backwards in
 time, with S the cost to go (Todorov 2005),
 
@@ -24,7 +24,7 @@ time, with S the cost to go (Todorov 2005),
 
 Staying is the fixed point of this recursion (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati
 equation, with c² BᵀSB added to r.  A reach ends in it.  L depends only on s and on the number of
-remaining steps.  It is solved once for a table of both, and looked up for the present posture.
+remaining steps.  A table of L over both is solved once, and looked up for the present posture.
 
 **Senses.**  Kalman filters have constant gains, from the dual Riccati equation.  There is one for
 each joint, with the command as efference copy; one for the difference between the seen and the felt
@@ -91,7 +91,7 @@ SMALLEST, LARGEST, ENTRIES = 0.01, 30.0, 81
 
 
 def plant(assumed: Assumptions, step: float) -> tuple[Floats, Floats]:
-    """Return A (3, 3) and B (3, 1) of a turned joint (z, v, a), for a control step in s."""
+    """Return A (3, 3) and B (3, 1) of a turned joint (z, v, a) for a control step of `step` s."""
     a = np.array([[1.0, step, 0.0], [0.0, 1.0, step], [0.0, 0.0, 1.0 - step / assumed.lag]])
     return a, np.array([[0.0], [0.0], [step / assumed.lag]])
 
@@ -102,14 +102,14 @@ def staying_cost(assumed: Assumptions, moves: float) -> Floats:
 
 
 def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
-    """Return L (..., 3) for a cost to go of S after the next step, (..., 3, 3)."""
+    """Return L (..., 3); `value` is S (..., 3, 3), the cost to go after the next step."""
     a, b = plant(assumed, step)
     stake = (1 + assumed.motor_noise**2) * (b.T @ value @ b)[..., 0]
     return (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
 
 
 def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
-    """Return S (3, 3) of staying for ever, for a turned joint that moves the hand by `moves`."""
+    """Return S (3, 3) of staying for ever, for a turned joint of s = `moves` lengths / rad."""
     from scipy.linalg import solve_discrete_are  # `import mmc_gym` loads no scipy
 
     a, b = plant(assumed, step)
@@ -122,7 +122,7 @@ def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
 
 
 def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
-    """Return L (steps, ..., 3) of the longest reach, backwards from S (..., 3, 3) at its end."""
+    """Return L (steps, ..., 3) of the longest reach, last step first; `value` is S at its end."""
     a, b = plant(assumed, step)
     found = []
     for _ in range(round(assumed.longest / step)):
@@ -133,7 +133,7 @@ def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
 
 
 def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Floats:
-    """Return the constant K of x ← Ax + K (y − CAx), for covariances of disturbance and noise."""
+    """Return the constant Kalman gain K of x ← Ax + K (y − CAx); the last two are covariances."""
     from scipy.linalg import solve_discrete_are
 
     p = solve_discrete_are(a.T, c.T, disturbance, noise)
@@ -141,9 +141,9 @@ def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Flo
 
 
 def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return U's first column (..., 2), s (..., 2) and rows of Vᵀ (..., 2, N) of J = U S Vᵀ.
+    """Return U's first column (..., 2), s (..., 2) and two rows of Vᵀ (..., 2, N) of J = U Σ Vᵀ.
 
-    U is a turn of the plane, and a row is 0 where s is.  `numpy.linalg.svd` is five times slower.
+    U is a rotation.  Where s is 0, so is the row.  `numpy.linalg.svd` is five times slower.
     """
     x, y = effects[..., 0, :], effects[..., 1, :]
     twice = np.arctan2(2.0 * (x * y).sum(axis=-1), (x * x).sum(axis=-1) - (y * y).sum(axis=-1))
@@ -155,20 +155,20 @@ def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _turned(vector: Floats, towards: Floats) -> Floats:
-    """Return the components of vectors (..., 2) along U's columns, of which this is the first."""
+    """Return the components of vectors (..., 2) along U's columns; `towards` is the first."""
     return np.stack(turned_back(*np.moveaxis(vector, -1, 0), *np.moveaxis(towards, -1, 0)), axis=-1)
 
 
 def _length(vector: Floats) -> Floats:
-    """Return the lengths of vectors (..., 2), (..., 1)."""
+    """Return the length (..., 1) of each vector (..., 2)."""
     return np.hypot(vector[..., :1], vector[..., 1:])
 
 
 class Gains(NamedTuple):
     """All gains of the controller."""
 
-    #: L by the remaining steps of a movement, and by s, (3, steps + 1, entries); that of z is per
-    #: segment length of the hand.
+    #: table of L over the remaining steps of a movement and s, (3, steps + 1, entries); the gain
+    #: of z is divided by s, so that it multiplies the error of the hand in segment lengths
     control: Floats
     posture: Floats  #: K of a joint's angle and of its velocity, each from its own reading, (2,)
     vision: float  #: K of the difference between the seen and the felt hand
@@ -177,13 +177,13 @@ class Gains(NamedTuple):
 
 @lru_cache
 def gains(assumed: Assumptions, step: float) -> Gains:
-    """Return the gains for a control step in s."""
+    """Return the gains for a control step of `step` seconds."""
     moves = np.geomspace(SMALLEST, LARGEST, ENTRIES)
     values = np.array([staying_value(assumed, step, one) for one in moves])
     staying = optimal_gain(assumed, step, values)
     control = np.concatenate((staying[None], reaching_gains(assumed, step, values)))
     control[..., 0] /= moves
-    # A joint's velocity is the commanded one, whatever it was before; a target keeps its velocity.
+    # A joint's velocity is set by the command, whatever it was before; a target keeps its velocity.
     joint, target = np.diag([1.0, 0.0]), np.array([[1.0, step], [0.0, 1.0]])
     disturbed = np.diag([assumed.slip, assumed.push]) ** 2
     swerve = assumed.swerve**2 * np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
@@ -200,9 +200,9 @@ class Belief(NamedTuple):
     """The controller's state; arrays lead with the batch."""
 
     joint_angles: Floats  #: as felt, at the time of the senses, radians, (..., N)
-    velocity: Floats  #: of the joints as felt; after a command, as commanded, rad/s, (..., N)
+    velocity: Floats  #: of the joints, as felt; after a command, as commanded; rad/s, (..., N)
     drive: Floats  #: rate of change of that velocity, rad/s², (..., N)
-    shift: Floats  #: of the seen hand from the felt one, segment lengths, (..., 2)
+    shift: Floats  #: seen minus felt position of the hand, segment lengths, (..., 2)
     target: Floats  #: as sensed, segment lengths, (..., 2)
     target_velocity: Floats  #: as sensed, segment lengths / s, (..., 2)
     remaining: Floats  #: control steps left of the movement, (..., 1)
@@ -213,7 +213,7 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
     """Optimal feedback control of the given arm, by joint velocities."""
 
     def __init__(self, interface: ReachInterface, assumed: Assumptions = DEFAULT) -> None:
-        """Make an agent of these assumptions."""
+        """Make an agent; `assumed.longest` must be at least a control step."""
         super().__init__(interface)
         require(isinstance(assumed, Assumptions), "assumed", assumed, "an Assumptions")
         accepted = f"at least a control step, {interface.control_step:g} s"
@@ -241,7 +241,7 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
         return self.interface.act(now + ahead, replace(seen, joint_angles=now)), state
 
     def _joints_and_hand_sensed(self, before: Belief, seen: Seen) -> Belief:
-        """Return the belief with joints and shift of the hand, as expected and corrected."""
+        """Return the belief with joints and shift of the hand predicted and corrected by `seen`."""
         gains, step = self.gains, self.interface.control_step
         asked = np.concatenate((before.asked, before.velocity[..., None, :]), axis=-2)
         expected = before.joint_angles + step * asked[..., 0, :]
@@ -257,7 +257,7 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
         )
 
     def _target_sensed(self, state: Belief, seen: Seen) -> Belief:
-        """Return the belief with the target; where it jumped, a movement begins."""
+        """Return the belief with the target corrected; where it jumped, a movement begins."""
         gains, assumed, step = self.gains, self.assumed, self.interface.control_step
         expected = state.target + step * state.target_velocity
         error = seen.target - expected
@@ -296,7 +296,7 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
         return (rows * command[..., None]).sum(axis=-2) + still
 
     def _driven(self, state: Belief, command: Floats) -> Belief:
-        """Return the belief after a command, with a control step less to go."""
+        """Return the belief after a command (..., N), with one control step less remaining."""
         step, limit = self.interface.control_step, self.interface.speed_limit
         velocity = state.velocity + step * state.drive
         drive = state.drive + step / self.assumed.lag * (command - state.drive)
@@ -307,7 +307,7 @@ class OptimalControlAgent(FeedbackAgent[Belief]):
         return state._replace(velocity=share * velocity, drive=share * drive, remaining=remaining)
 
     def _looked_up(self, moves: Floats, remaining: Floats) -> Floats:
-        """Return L of turned joints that move the hand by `moves` (..., 2), as (3, ..., 2)."""
+        """Return L (3, ..., 2) from the table, for s = `moves` (..., 2) and the remaining steps."""
         place = np.log(np.maximum(moves, SMALLEST) / SMALLEST)
         place *= (ENTRIES - 1) / math.log(LARGEST / SMALLEST)
         place = np.minimum(place, ENTRIES - 1.001)

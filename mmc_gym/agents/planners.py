@@ -4,12 +4,12 @@ A movement begins with the episode, and whenever the target jumps.  It takes
 
     T = T₀ + d / v̄,     d the distance of the hand from the target at its beginning
 
-Durations of reaching movements grow about linearly with their amplitude (for given accuracy and
+Durations of reaching movements grow about linearly with their amplitude (for a given accuracy and
 medium amplitudes, Fitts's logarithm is nearly a line).  T₀ and v̄ suit the arm: a minimum-jerk
 movement of 3 segment lengths peaks at 6 lengths/s, half of what its servos can do, and the longest
-possible one, of 6, takes 1.7 s.  If the target moves by less than a jump, the movement continues
-for at least `HORIZON` more control steps.  So the hand pursues the target without haste, and noise
-in the seen target is smoothed.
+possible movement, of 6 lengths, takes 1.7 s.  If the target moves by less than a jump, the movement
+continues for at least `HORIZON` more control steps.  So the hand pursues the target without haste,
+and noise in the seen target is smoothed.
 
 The hand goes from rest at x₀ to rest at the target g in T, on the path of least ∫ |d³x/dt³|² dt:
 
@@ -41,8 +41,8 @@ AVERAGE_SPEED = 4.0  #: v̄: growth of distance with duration, segment lengths /
 NEW_TARGET_DISTANCE = 0.3  #: a target that moves farther in a control step has jumped, lengths
 HORIZON = 5  #: least number of control steps that remain while the target moves
 ITERATIONS = 3  #: iterations of inverse kinematics in a control step
-#: λ of inverse kinematics: the plan moves only a fraction of a length in a step, so it needs less
-#: than a solver alone, which keeps the hand on the path
+#: λ of inverse kinematics: lower than for a solver alone, because the plan moves the hand only a
+#: fraction of a length in a step; a low λ keeps the hand on the path
 DAMPING = 0.05
 
 
@@ -50,17 +50,17 @@ class MovementTiming(NamedTuple):
     """The target and timing of a movement under way."""
 
     target: Floats  #: segment lengths, (..., 2)
-    elapsed: Floats  #: control steps since it began, (...)
+    elapsed: Floats  #: control steps since the movement began, (...)
     duration: Floats  #: T, control steps, (...)
 
     @property
     def remaining(self) -> Floats:
-        """Control steps until it is over, at least 0, (...)."""
+        """Control steps until the movement ends, at least 0, (...)."""
         return np.maximum(self.duration - self.elapsed, 0.0)
 
 
 def begin_movement(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
-    """Begin a movement of the hand to a target, (..., 2) in segment lengths."""
+    """Return a new movement of the hand to a target, both (..., 2) in segment lengths."""
     way = target - hand
     distance = np.hypot(way[..., 0], way[..., 1])
     duration = np.ceil((BASE_DURATION + distance / AVERAGE_SPEED) / control_step - 1e-9)
@@ -70,7 +70,7 @@ def begin_movement(hand: Floats, target: Floats, control_step: float) -> Movemen
 def follow_target(
     movement: MovementTiming, hand: Floats, target: Floats, control_step: float
 ) -> MovementTiming:
-    """Return the movement to the present target: a new one, from the hand, if the target jumped."""
+    """Return the movement to the present target; if the target jumped, begin anew from the hand."""
     shift = target - movement.target
     moved = np.hypot(shift[..., 0], shift[..., 1])
     if not moved.any():
@@ -87,7 +87,7 @@ def one_step_later(movement: MovementTiming) -> MovementTiming:
 
 
 class HandPlan(NamedTuple):
-    """A planned motion of the hand, (..., 2) each; time in control steps, segment lengths."""
+    """Planned motion of the hand, each field (..., 2), in segment lengths and control steps."""
 
     position: Floats
     velocity: Floats
@@ -95,7 +95,7 @@ class HandPlan(NamedTuple):
 
 
 class MinimumJerkState(NamedTuple):
-    """State of the agent: the plan, the movement it is for, and the joint angles (..., N)."""
+    """State of a `MinimumJerkAgent`: plan, movement under way, and joint angles (..., N)."""
 
     plan: HandPlan
     movement: MovementTiming
@@ -123,10 +123,10 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
 
 
 def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> HandPlan:
-    """Return the plan one control step later, on the way of least jerk to rest at a target.
+    """Return the plan one control step later, on the path of least jerk to rest at a target.
 
-    Targets are (..., 2).  The hand rests there after the remaining control steps, (...); after this
-    one if that is one or less.
+    The hand comes to rest at its target (..., 2) after `remaining` control steps (...), or after
+    this step if at most one remains.
     """
     time = np.maximum(remaining, 1.0)[..., None]
     way = target - plan.position

@@ -1,20 +1,20 @@
-"""A trained policy as plain arrays: its network, and its memory.
+"""A trained policy as plain arrays: its network and its memory.
 
-It sees observations as they are: target and offset in the frame of the arm's first segment.  A goal
-environment's are brought into the same form.
+The policy sees observations unchanged, with target and offset in the frame of the arm's first
+segment.  Observations of goal environments are brought into the same form.
 
-The network is a small MLP that gives the mean of an action, and its spread.
+The network is a small MLP that gives the mean of an action and its spread:
 
     h_0 = x,  h_k = f(W_k h_{k−1} + b_k),  mean = W h_K + b,  log σ constant, or = W' h_K + b'
 
     gaussian (PPO):            action = clip(mean + σ ε, −1, 1)
     squashed (SAC, TQC, TD3):  action = tanh(mean + σ ε)
 
-with ε = 0 for the deterministic action.  A2C, TRPO and RecurrentPPO are as PPO, the last with a
-layer of LSTM units between x and h_1; TD3 has no spread.  After a training behind `VecNormalize`,
-x = clip((features − mean) / deviation, −c, c).  It gives the actions of the stable-baselines3
-policy that the weights are from, to rounding errors, without PyTorch, and for one arm several times
-faster.
+with ε = 0 for the deterministic action.  A2C, TRPO and RecurrentPPO act like PPO; RecurrentPPO has
+a layer of LSTM units between x and h_1.  TD3 has no spread.  After a training with `VecNormalize`,
+x = clip((features − mean) / deviation, −c, c).  Up to rounding errors, actions are those of the
+stable-baselines3 policy that the weights come from, but without PyTorch, and several times faster
+for one arm.
 
 A policy with a memory also sees its `History` of observations and actions.
 """
@@ -42,9 +42,9 @@ _LOG_STD_RANGE = (-20.0, 2.0)  # stable-baselines3's, where the spread is an out
 
 
 def _layer(name: str, tensors: Tensors) -> tuple[Float32, Float32]:
-    """Return a linear layer's weight (in, out), in columns, as for `x @ weight`, and bias (out,).
+    """Return a linear layer's weight (in, out), for `x @ weight`, and bias (out,).
 
-    So one row of features takes one pass over contiguous memory.
+    The weight is in column-major order, so a row of features takes one pass over memory.
     """
     return np.asfortranarray(tensors[f"{name}.weight"].T), tensors[f"{name}.bias"]
 
@@ -53,7 +53,7 @@ class PolicyNetwork:
     """A network from `input_size` features through layers of `hidden_units` to an action."""
 
     def __init__(self, tensors: Tensors, activation: Activation, distribution: Distribution):
-        """Make a network of its weights.
+        """Make a network from its weights.
 
         Tensors are float32: "hidden.K.weight" (out, in) and "hidden.K.bias" (out,) for each layer K
         from 0, "mean.weight" and "mean.bias", and either "log_std" (actions,) or "log_std.weight"
@@ -66,7 +66,7 @@ class PolicyNetwork:
         self._is_normalized = "seen.mean" in tensors
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
-        #: units of its LSTM, 0 without one
+        #: number of LSTM units; 0 without an LSTM
         self.memory_units = len(tensors["lstm.bias"]) // 4 if "lstm.bias" in tensors else 0
         first = "lstm.weight_ih" if self.memory_units else "hidden.0.weight"
         try:
@@ -85,7 +85,7 @@ class PolicyNetwork:
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
         """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).
 
-        They are deterministic without a generator that draws ε.  Each row is multiplied alone: sums
+        `random` draws ε; without it, actions are deterministic.  Each row is multiplied alone: sums
         over a whole batch round differently, so an action would depend on the size of the batch.
         """
         return self._act(self._normalized(features), random)
@@ -93,9 +93,9 @@ class PolicyNetwork:
     def act_from(
         self, memory: Float32, features: Float32, random: np.random.Generator | None = None
     ) -> tuple[Float32, Float32]:
-        """Return the actions of a network with an LSTM, as `act` does, and its memory after that.
+        """Return actions as `act` does, for a network with an LSTM, and the memory after them.
 
-        The memory is the LSTM's output and cell, (..., 2, units); zeros at the start.
+        The memory is the LSTM's output and cell state, (..., 2, units); zeros at the start.
         """
         output, cell = memory[..., :1, :], memory[..., 1:, :]
         gates = self._normalized(features)[..., None, :] @ self.tensors["lstm.weight_ih"].T
@@ -143,22 +143,22 @@ def _sigmoid(x: Float32) -> Float32:
 class History:
     """A policy's memory: observations and actions of its last steps, the latest first.
 
-    The steps are cut into blocks, the latest one first.  Of each block the policy sees the mean of
+    The steps are divided into blocks.  Of each block the policy sees the mean of
 
         joint angles, hand and target, each minus the present observation; actions
 
-    where hand and target are turned into the present frame of the first segment.  So an arm and a
-    target at rest are zeros however the world is turned, a mean over a block filters noise, and a
-    difference between blocks is a velocity.  At the start of an episode the memory is filled with
-    its first observation and with actions of zero.
+    where hand and target are turned into the present frame of the first segment.  So the values of
+    an arm and a target at rest are 0 in any orientation of the world.  A mean over a block filters
+    noise, and a difference between blocks is a velocity.  At the start of an episode the memory is
+    filled with the first observation and with actions of zero.
     """
 
     layout: ObservationLayout  #: of the observations
-    blocks: Sequence[int]  #: steps in each block
+    blocks: Sequence[int]  #: number of steps in each block, the latest block first
 
     @property
     def size(self) -> int:
-        """Number of values that follow an observation."""
+        """Number of values that the memory appends to an observation."""
         return len(self.blocks) * self._width
 
     @property
@@ -170,14 +170,14 @@ class History:
         return np.cumsum([0, *self.blocks[:-1]])
 
     def start(self, observation: Observation) -> Float32:
-        """Return the memory before an episode's first observation, (..., steps, 2 N + 4)."""
+        """Return the memory at an episode's first observation, (..., steps, 2 N + 4)."""
         now = self.observed(observation)
         memory = np.zeros((*now.shape[:-1], sum(self.blocks), self._width), np.float32)
         memory[..., : now.shape[-1]] = now[..., None, :]
         return memory
 
     def recall(self, now: Float32, memory: Float32) -> Float32:
-        """Return what a policy sees of its memory, (..., size), given what it `observed` now."""
+        """Return the block means, (..., size), that a policy sees; `now` is from `observed`."""
         means = np.add.reduceat(memory, self._starts, axis=-2)  # sums of the steps of each block
         means /= np.array(self.blocks, np.float32)[:, None]
         means[..., : now.shape[-1]] -= now[..., None, :]
@@ -191,14 +191,14 @@ class History:
 
     @staticmethod
     def extended(now: Float32, action: Float32, memory: Float32) -> Float32:
-        """Return the memory with one more step: what was `observed`, and the action (..., N)."""
+        """Return the memory with one more step: `now` from `observed`, and an action (..., N)."""
         step = np.concatenate((now, action), -1)
         return np.concatenate((step[..., None, :], memory[..., :-1, :]), -2)
 
     def observed(self, observation: Observation, memory: Float32 | None = None) -> Float32:
-        """Return joint angles, hand and target in the world, (..., N + 4).
+        """Return joint angles in radians, then hand and target in the world frame, (..., N + 4).
 
-        Joint angles continue from those in memory, without jumps of a whole turn.
+        Joint angles continue from those in `memory`, without jumps of a whole turn.
         """
         seen = self.layout.split(observation)
         angles = np.arctan2(seen.sines, seen.cosines)

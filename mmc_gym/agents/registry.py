@@ -1,4 +1,4 @@
-"""The agents of this package and what is known of each.  A new agent is one new entry."""
+"""The agents of this package, and what is known about each.  A new agent needs one new entry."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ Kind = Literal[
 class Knowledge:
     """The kind of an agent, what it is given and what it senses, in words for a table."""
 
-    kind: Kind  #: "yours" for one that does not ship with the package
+    kind: Kind  #: "yours" if the agent does not ship with the package
     lengths: str = "given"  #: whether it is given the segment lengths
-    actions: str = "given"  #: whether it is given what its actions do (the servo and its limits)
+    actions: str = "given"  #: whether it is given the effect of its actions (servo and limits)
     senses: str = "posture once, at the start; the target in every step"  #: what it looks at
 
 
 UNKNOWN = Knowledge("yours", lengths="unknown", actions="unknown", senses="unknown")
 
 REFERENCE = "minimum jerk (ideal)"
-"""The name of the ideal hand, which plays without an arm, for comparison with agents."""
+"""The name of the ideal hand: it moves without an arm, for comparison with agents."""
 
 IDEAL = Knowledge("ideal", lengths="has no arm", actions="has no arm", senses="start and target")
 
@@ -45,10 +45,10 @@ IDEAL = Knowledge("ideal", lengths="has no arm", actions="has no arm", senses="s
 def learned_knowledge(
     base_agent: str = "", kind: Kind = "learned", *, memory: int = 0, context: bool = False
 ) -> Knowledge:
-    """Return what a trained policy is given and senses.
+    """Return the `Knowledge` of a trained policy.
 
-    It may correct the actions of a base agent, remember its last steps (`memory`), and be given
-    what was drawn for the episode (`context`).
+    The policy may correct the actions of `base_agent`, remember its last `memory` steps, and be
+    given what was drawn for the episode (`context`).
     """
     senses = "posture, joint speeds, target, and offset from hand to target, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
@@ -62,29 +62,29 @@ def learned_knowledge(
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """An agent of this package, and what is known of it."""
+    """An agent of this package, and what is known about it."""
 
     description: str  #: what it is, in a line
     #: "module:function" that makes it from a `ReachInterface`, imported when it is needed; for a
     #: trained agent, its training of seed 0
     maker: str
     knowledge: Knowledge  #: its kind, what it is given, and what it senses
-    #: the only control mode in which it is compared; None: that of the environment, as for all
-    #: agents that give joint targets, which act in every mode that has a servo
+    #: the only control mode in which it is compared; None: the mode of the environment, as for
+    #: all agents that give joint targets, because they act in every mode that has a servo
     control: Control | None = None
     training_seeds: int = 0  #: how many trainings of it ship with the package; 0 if untrained
     settings: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the maker, by name
-    draws_actions: bool = False  #: whether the maker is also given the `space` of actions
-    is_ranked: bool = True  #: whether it takes part in a benchmark unless others are named
+    draws_actions: bool = False  #: whether the maker also takes the action space, as `space`
+    is_ranked: bool = True  #: whether a benchmark that names no agents includes it
 
     def build(self, interface: ReachInterface, **settings: Any) -> Agent[Any]:
-        """Make it from an interface; `settings` are further arguments of its maker."""
+        """Return the agent for an interface; `settings` are further arguments of its maker."""
         maker = pkgutil.resolve_name(f"mmc_gym.agents.{self.maker}")
         agent: Agent[Any] = maker(interface, **self.settings, **settings)
         return agent
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
-        """Make it for an environment, whose wrappers may change no observation or action."""
+        """Return the agent for `env`, whose wrappers may not change observations or actions."""
         require_plain(env)
         space = {"space": env.action_space} if self.draws_actions else {}
         return self.build(ReachInterface.of(env), **space)
@@ -109,7 +109,7 @@ def _trained(
     is_ranked: bool = True,
     command: str = "mmc-gym train {}",
 ) -> dict[str, AgentEntry]:
-    """Return the entry of a policy that ships, under its name."""
+    """Return the entry of a policy that ships with the package, in a dict under its name."""
     return {
         name: AgentEntry(
             f"{description}, trained by `{command.format(name)}`",

@@ -1,6 +1,6 @@
-"""An agent that was resolved: what is known of it, and how it is made for an environment.
+"""`ResolvedAgent`: what is known about an agent, and how to make it for an environment.
 
-`mmc_gym.agents.resolver` has the grammar of names, and makes these.
+`mmc_gym.agents.resolver` parses the names of agents, and returns these objects.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
 class ResolvedAgent:
     """An agent, or one of its trainings.
 
-    Its files are read and its module is imported when they are first needed, again in each process
-    that it is sent to.
+    Files are read and modules are imported when they are first needed, and again in each process
+    that this object is sent to.
     """
 
     label: str  #: the agent's name in tables and data
@@ -59,22 +59,22 @@ class ResolvedAgent:
     source: str
     name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship
     policy: Path | None = None  #: the path of its policy; None if it has none
-    #: its model of stable-baselines3, or the file of one; None if it has none
+    #: its stable-baselines3 model, or the file of the model; None if it has none
     model: SavedModel | ModelAgent | None = None
     given: Any = None  #: the function or object itself; None for a name or a model
-    #: the place of this training among several whose files do not say their seeds
+    #: which of several trainings this is, if their files do not say their seeds
     number: int | None = None
     #: a function, or "module:function", that puts an environment into the wrappers of its training
     wrapper: Any = None
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of environments that it needs: they show the context, if its training did."""
+        """Arguments that its environment must be made with: to show the context it learnt with."""
         context = self.card.context if self.card is not None else []
         return {"observe_context": context} if context else {}
 
     def wrapped(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """Return an environment in the wrappers of its training."""
+        """Return `env` inside the wrappers that the agent was trained in; `env` if it has none."""
         if self.wrapper is None:
             return env
         made = self._wrap(env)
@@ -100,7 +100,7 @@ class ResolvedAgent:
 
     @cached_property
     def _thing(self) -> Any:
-        """The model, function or object that was given, is loaded, or is imported by its name."""
+        """The model, function or object: as given, loaded from its file, or imported by name."""
         if self.given is not None:
             return self.given
         if self.model is not None:
@@ -121,7 +121,7 @@ class ResolvedAgent:
 
     @property
     def training_seed(self) -> int | None:
-        """The seed of its training, from its files or counted; None if untrained or unknown."""
+        """The seed of its training: `number`, or from its files; None if untrained or unknown."""
         if self.number is not None:
             return self.number
         if self.card is not None:
@@ -130,7 +130,7 @@ class ResolvedAgent:
 
     @property
     def training_steps(self) -> int | None:
-        """Environment steps of its training; 0 without one, None if they are not known."""
+        """Number of environment steps of its training; 0 if untrained, None if not known."""
         if self.card is not None:
             return self.card.training_steps
         if self.model is not None:
@@ -140,12 +140,12 @@ class ResolvedAgent:
 
     @property
     def source_name(self) -> str:
-        """Its source; for functions and objects, a name in its place."""
+        """The agent's `source`; for functions and objects, "given:" and the label."""
         return self.source or f"given:{self.label}"
 
     @property
     def is_reference(self) -> bool:
-        """Whether it is the ideal hand, which needs no arm."""
+        """Whether the agent is the ideal hand, which needs no arm."""
         return self.name == REFERENCE
 
     @property
@@ -155,14 +155,14 @@ class ResolvedAgent:
 
     @property
     def control(self) -> Control | None:
-        """The only control mode in which it is compared; None for that of the environment."""
+        """The only control mode in which it is compared; None: the mode of the environment."""
         return self.own_control or (self.entry.control if self.entry else None)
 
     @property
     def own_control(self) -> Control | None:
-        """The only control mode that it acts by; None if it acts by several, or it is not known.
+        """The only control mode that the agent can act in; None if several, or not known.
 
-        An object may have an attribute `control` that says so.
+        An object may name the mode in an attribute `control`.
         """
         if self.name and self.card is None:
             return None
@@ -171,7 +171,7 @@ class ResolvedAgent:
 
     @property
     def knowledge(self) -> Knowledge:
-        """The agent's kind, what it is given, and what it senses; of a policy, as its card says."""
+        """The agent's kind, what it is given and what it senses; for a policy, from its card."""
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)
@@ -185,9 +185,9 @@ class ResolvedAgent:
 
     @cached_property
     def fingerprint(self) -> str:
-        """A digest (SHA-256) of what it is made of and of its wrapper; another is another agent.
+        """SHA-256 digest of the agent and its wrapper; a new digest means a new agent.
 
-        Empty where nothing is known.
+        Empty if nothing can be digested.
         """
         if self.wrapper is None:
             return self._digest
@@ -195,12 +195,12 @@ class ResolvedAgent:
 
     @property
     def _digest(self) -> str:
-        """A digest of what it is made of.
+        """SHA-256 digest of the agent without its wrapper.
 
-        A policy is made of its weights, and of the code if it corrects another agent; a model of
-        its weights and statistics; an agent without a policy of the code of all agents and of the
-        network; "module:function" of the module's file, and an object of its pickle.  A change of
-        what these import or read goes unnoticed.
+        It is taken of a policy's weights, and of the code if the policy corrects another agent; of
+        a model's weights and statistics; of the code of all agents and networks, for an agent of
+        this package without a policy; of the module's file, for "module:function"; of an object's
+        pickle.  Changes in what these import or read go unnoticed.
         """
         if self.card is not None:
             if not self.card.base_agent:
@@ -242,7 +242,7 @@ def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
 
 
 def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
-    """Make the agent of an object, of a function or class of environments, or of observations."""
+    """Make an agent from an object, a class, or a function of environments or observations."""
     agent, failure = given, cast("Exception | None", None)
     if isinstance(given, type) or not hasattr(given, "predict"):
         _check_takes_env(given, label)
@@ -279,7 +279,7 @@ def _check_takes_env(given: Any, label: str) -> None:
 
 
 def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
-    """Return why a function does not take arguments; None if it does, or if that is unknown."""
+    """Return the error if a function does not take these arguments; None if it may take them."""
     with suppress(ValueError):  # Python does not know its signature
         try:
             inspect.signature(function).bind(*arguments, **more)
@@ -289,7 +289,7 @@ def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeE
 
 
 def why_no_action(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> str:
-    """Return what a function does with an observation but give an action; "" if it gives one."""
+    """Return, in words, what a function does instead of giving an action; "" if it gives one."""
     space = deepcopy(env.observation_space)
     space.seed(0)
     try:
@@ -303,14 +303,17 @@ def why_no_action(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> str
 
 
 def raised(error: Exception) -> str:
-    """Return what a user's function raised, and where: after the frame that called it."""
+    """Return, in words, what a user's function raised, and its file and line."""
     frames = traceback.extract_tb(error.__traceback__)
     frame = frames[min(1, len(frames) - 1)]
     return f"raised {type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"
 
 
 def function_agent(function: Callable[[Any], Any]) -> Predictor:
-    """Return the agent of a function of observations that returns an action, or it and a state."""
+    """Return an agent whose `predict` calls `function` with the observation alone.
+
+    The function returns an action, or an action and a state.
+    """
 
     def predict(
         observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -322,7 +325,7 @@ def function_agent(function: Callable[[Any], Any]) -> Predictor:
 
 
 def with_whole_signature(agent: Any) -> Predictor:
-    """Return the agent; or one that calls its `predict` with the observation alone."""
+    """Return the agent; if its `predict` takes an observation alone, wrap it to take all four."""
     if refusal(agent.predict, None, None, None, deterministic=True):
         whole: Any = function_agent(agent.predict)
         if hasattr(agent, "between_trials"):
@@ -332,7 +335,7 @@ def with_whole_signature(agent: Any) -> Predictor:
 
 
 def _digest_of(thing: Any) -> str:
-    """Return the SHA-256 of the file of "module:function", or of the pickle of an object."""
+    """Return the SHA-256 of a "module:function"'s file or an object's pickle; "" without one."""
     if not isinstance(thing, str):
         try:
             return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()

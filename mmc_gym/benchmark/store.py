@@ -2,7 +2,7 @@
 
     episodes/AGENT--SEED--ENVIRONMENT.parquet    a row per episode: who, where, measures
     paths/AGENT--SEED--ENVIRONMENT.parquet       a row per step of some episodes, for pictures
-    manifest.json                                what all of it was made with
+    manifest.json                                the settings that all of it was made with
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
 an environment.  Every file is written atomically and carries, in its schema's metadata, the
@@ -34,8 +34,8 @@ from mmc_gym.measures import MEASURES, Episode, measure_all
 
 MANIFEST = "manifest.json"
 EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
-_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
-_DIGEST = "sha256"  # in the manifest, of all else in it
+_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # keys in a file's metadata
+_DIGEST = "sha256"  # key in the manifest: the digest of its other entries
 _KEY = ("agent", "training_seed", "environment")  # columns that name a cell
 _SHARED = ("episodes", "seed", "environment")  # settings that all cells of a scenario share
 _CURSOR = ("cursor_x", "cursor_y")
@@ -51,7 +51,7 @@ class CellKey(NamedTuple):
 
     @property
     def stem(self) -> str:
-        """Name of its files without suffix: different for different cells, on any file system.
+        """Name of the cell's files without suffix, unique to the cell on any file system.
 
         >>> CellKey("ppo", 3, "random").stem, CellKey("mmc", None, "random").stem
         ('ppo--3--random', 'mmc--random')
@@ -61,7 +61,7 @@ class CellKey(NamedTuple):
 
     @property
     def file_name(self) -> str:
-        """Name of its files."""
+        """Name of the cell's files."""
         return f"{self.stem}.parquet"
 
 
@@ -75,8 +75,8 @@ def _slug(name: str) -> str:
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return the columns of a table with a row for each episode.
 
-    They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), in space
-    start_z and target_z, duration (s), and one for each of `MEASURES`, NaN without a value.
+    They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), start_z and
+    target_z (only in space), duration (s), and each of `MEASURES` (NaN without a value).
     """
     measured = [measure_all(episode) for episode in episodes]
     size = episodes[0].target.size if episodes else 2
@@ -94,11 +94,11 @@ def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
 def episodes_file(
     key: CellKey, episodes: Sequence[Episode], settings: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> bytes:
-    """Return the content of a cell's file of episodes, one for each instance, in order.
+    """Return the content of a cell's file of episodes, a row per episode, in order of instances.
 
     Columns agent, training_seed (missing without training), environment, instance (0, 1, …), and
-    those of `episode_columns`.  Its `settings`, which `cell_facts` compares, and other `facts`
-    about it are ready for JSON.
+    those of `episode_columns`.  The file's metadata hold the cell's `settings`, which `cell_facts`
+    compares, and other `facts` about the cell; both must be JSON types.
     """
     columns = {
         **_key_columns(key, len(episodes)),
@@ -109,13 +109,13 @@ def episodes_file(
 
 
 def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
-    """Return the content of a cell's file of paths: all steps of these episodes, by instance.
+    """Return the content of a cell's file of paths, a row per step of `episodes`, by instance.
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
-    target_x, target_y (segment lengths), in space hand_z and target_z; all but the first five
+    target_x, target_y (segment lengths), in space hand_z and target_z; all but the first five are
     float32.  Under a visuomotor rotation also cursor_x, cursor_y; elsewhere the cursor is the hand
-    itself and not written twice, `read_paths` repeats it.
+    and is not stored; `read_paths` fills it in.
     """
     played = list(episodes.values())
     hands = np.concatenate([episode.hands for episode in played])
@@ -154,7 +154,7 @@ class Kept(NamedTuple):
 
 
 def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
-    """Return columns as a Parquet file that carries settings and facts, and a checksum of both."""
+    """Return columns as a Parquet file whose metadata hold settings, facts and a checksum."""
     table = pa.table(dict(columns))
     content = json.dumps((kept or Kept())._asdict())
     metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
@@ -172,13 +172,13 @@ def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
 
 
 def _checksum(schema: pa.Schema, content: str) -> str:
-    """Return the SHA-256 of columns and metadata, which Parquet's checksums of pages leave out."""
+    """Return the SHA-256 of column names, types and metadata, which page checksums leave out."""
     columns = [(field.name, str(field.type)) for field in schema]
     return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
 
 
 def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Read a cell's table, settings and facts; refuse one that is damaged or of another cell."""
+    """Return a cell's table, settings and facts; a `UserError` if damaged or another cell's."""
     try:
         table, kept = read_table(path.read_bytes(), columns)
         stem = CellKey(*(table[one][0].as_py() for one in _KEY)).stem if len(table) else path.stem
@@ -192,14 +192,14 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
 
 
 def read_table(content: bytes, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Return a file's table, its settings and facts; raise what Parquet or `_kept_in` raises."""
+    """Return a file's table, settings and facts; raise any error of Parquet or `_kept_in`."""
     file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
     kept = _kept_in(file.schema_arrow)
     return file.read(columns, use_threads=False), kept  # one thread is faster for small files
 
 
 def _kept_in(schema: pa.Schema) -> Kept:
-    """Return settings and facts of a file; raise a `ValueError` if it is not as it was written."""
+    """Return a file's settings and facts; raise a `ValueError` if its schema has been changed."""
     metadata = schema.metadata or {}
     content = metadata.get(_CONTENT, b"").decode()
     if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
@@ -214,7 +214,7 @@ def _kept_in(schema: pa.Schema) -> Kept:
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write `files` of a cell by kind (`EPISODES`, `PATHS`), and remove its former other files."""
+    """Write a cell's `files` by kind (`EPISODES`, `PATHS`); delete old files of other kinds."""
     for kind in (PATHS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
         if kind in files:
@@ -226,7 +226,7 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """Return the facts kept about a cell; None if it must be played again.
 
-    It must if it is missing, damaged, of other settings, or without one of the measures.
+    That is so if it is missing or damaged, has other settings, or lacks one of the measures.
     """
     try:
         table, kept = _read(folder / EPISODES / key.file_name)
@@ -253,7 +253,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Return all episodes of the store in a folder, with the columns of `episodes_file`.
 
-    Of these, read agent, training_seed, environment, instance and `columns`; all if None.
+    Unless `columns` is None, read only agent, training_seed, environment, instance and `columns`.
 
     Raises:
         UserError: if there are none, or a file is damaged, missing, or of other settings.
@@ -279,7 +279,7 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
 
 
 def require_all_cells(folder: Path, manifest: Manifest) -> None:
-    """Raise a `UserError` that names the first file of episodes that was removed since."""
+    """Raise a `UserError` if the file of episodes of any cell in the manifest is missing."""
     for stem in manifest.cpu_seconds:
         _require_file(folder / EPISODES / f"{stem}.parquet")
 
@@ -290,7 +290,7 @@ def _require_file(path: Path) -> None:
 
 
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
-    """Return the paths of `cells` (all if None) that were kept; `paths_file` names the columns."""
+    """Return the stored paths of `cells` (all if None), see `paths_file`; cursors are filled in."""
     files = _files(Path(folder), PATHS)
     if cells is not None:
         names = {cell.file_name for cell in cells}
@@ -319,13 +319,13 @@ class _Frozen(BaseModel):
 
 
 class Policy(_Frozen):
-    """A training of an agent, or the agent if it was not trained."""
+    """One training of an agent, or the agent itself if it was not trained."""
 
     training_seed: int | None
-    source: str  #: from which it can be made again, or a name that stands for it
+    source: str  #: text from which the policy can be made again, else a name for it
     name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty for an agent of the user
     knowledge: Knowledge = UNKNOWN  #: its kind, what it is given, and what it senses
-    training_steps: int | None = None  #: of its training, 0 without one; None if unknown
+    training_steps: int | None = None  #: environment steps; 0 if not trained, None if unknown
 
 
 class NotPlayed(_Frozen):
@@ -347,23 +347,23 @@ class Manifest(_Frozen):
     """Everything that a store was made with."""
 
     schema_version: Literal[4] = 4
-    episodes: int  #: in each environment whose trials are not numbered
+    episodes: int  #: number of episodes in each environment without numbered trials
     seed: int  #: of the starts and targets
     measures: dict[str, dict[str, Any]] = {}  #: by name, see `Quantity.facts`
-    #: settings by name, and of the environment as it was played control_step (seconds),
-    #: segment_lengths (of the arm that agents are given) and tolerance (the distance from the
-    #: target that counts as success)
+    #: settings by name of the environment, with control_step (seconds), segment_lengths (of the
+    #: arm that agents are given) and tolerance (the distance from the target that counts as
+    #: success) as it was played
     environments: dict[str, dict[str, Any]] = {}
-    agents: dict[str, list[Policy]] = {}  #: policies by name
+    agents: dict[str, list[Policy]] = {}  #: policies by name of the agent
     not_played: list[NotPlayed] = []
     controls: dict[str, str] = {}  #: control modes of an agent's cells, by its source
     cpu_seconds: dict[str, float] = {}  #: processor time of each cell, by the stem of its files
     reused: int = 0  #: number of cells that the last run did not have to play
-    versions: dict[str, str] = {}  #: of libraries, several of one separated by commas
-    changed: list[str] = []  #: sources of agents whose cells are of different weights or code
+    versions: dict[str, str] = {}  #: by library; several versions are separated by commas
+    changed: list[str] = []  #: sources of agents whose weights or code differ between cells
 
     def control(self, agent: str) -> str:
-        """Return the control modes in which an agent acted; empty for an ideal hand."""
+        """Return an agent's control modes, separated by commas; empty for the ideal hand."""
         modes = (self.controls.get(one.source) for one in self.agents.get(agent, ()))
         return ", ".join(dict.fromkeys(filter(None, modes)))
 
@@ -380,7 +380,7 @@ def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
 
 
 def read_manifest(folder: Path | str) -> Manifest:
-    """Return the manifest of a store; none, and one that is damaged, raise a `UserError`."""
+    """Return the manifest of a store; raise a `UserError` if it is missing, damaged or changed."""
     path = Path(folder) / MANIFEST
     try:
         manifest = Manifest.model_validate_json(content := path.read_bytes())
@@ -404,13 +404,13 @@ def _digest(entries: Mapping[str, Any]) -> str:
 
 
 def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
-    """Let `update` change the present manifest (None if there is none), and write it.
+    """Call `update` with the store's manifest (None without one); write and return its result.
 
     Other benchmarks that use the same store wait meanwhile.
     """
     path = folder / MANIFEST
     folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / ".lock"):  # released by death, too
+    with FileLock(folder / ".lock"):  # released when the process dies, too
         manifest = update(read_manifest(folder) if path.exists() else None)
         entries = manifest.model_dump(mode="json")
         content = {**entries, _DIGEST: _digest(entries)}

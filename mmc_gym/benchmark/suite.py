@@ -1,4 +1,4 @@
-"""The scenarios of the benchmark; agents in their control mode, who play them; the ideal hand."""
+"""The benchmark's scenarios, how agents play them in their control modes, and the ideal hand."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ SCENARIOS: dict[str, Scenario] = {
 SET_BY_SCENARIOS = ("task", "perturbations", "max_episode_steps")
 """Arguments of environments that scenarios and experiments set, so that users may not."""
 
-TOGETHER = 1_000  # episodes that are played at once, at most: bounds the memory
+TOGETHER = 1_000  # most episodes played at once, to bound memory
 
 Environments: TypeAlias = "Iterable[str | Playable] | Mapping[str, EnvLike]"
 """Names of scenarios and of your own environments; or a mapping of names to environments."""
@@ -71,13 +71,13 @@ Environments: TypeAlias = "Iterable[str | Playable] | Mapping[str, EnvLike]"
 def find_scenarios(
     environments: Environments, env_kwargs: Mapping[str, Any] | None = None, interface: Any = None
 ) -> dict[str, Playable]:
-    """Return what is to be played, by name: the benchmark's scenarios if none are given.
+    """Return the scenarios and environments to play, by name; all `SCENARIOS` if none are given.
 
     Args:
         environments: names, see `mmc_gym.envs.scenarios.find_scenario`; or a mapping of names to
             your own environments.
-        env_kwargs: arguments of all of them.
-        interface: of your own environments, see `InterfacedEnv`.
+        env_kwargs: keyword arguments of all environments.
+        interface: the interface of your own environments, see `InterfacedEnv`.
     """
     found: list[Playable]
     if isinstance(environments, Mapping):
@@ -101,9 +101,9 @@ def find_scenarios(
 def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, Any], Predictor]:
     """Make the environment in an agent's control mode, and the agent for it.
 
-    Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known.
-    A `control` among the arguments of what is played is for agents that act by several control
-    modes, or whose control mode is not known.
+    Issue a `MismatchWarning` if the control mode of a stable-baselines3 model is not known.
+    `control` in `played.arguments` sets the mode of agents that support several control modes, or
+    whose control mode is not known.
 
     Raises:
         CannotActError: if the agent cannot act in the environment.
@@ -130,13 +130,13 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
 
 
 def other_controls(controls: Mapping[str, str]) -> dict[str, str]:
-    """Return, by agent, those of its control modes that are not the one of most agents."""
+    """Return the control modes, by agent, of the agents that differ from most agents."""
     ((most, _),) = Counter(controls.values()).most_common(1)
     return {agent: one for agent, one in controls.items() if one != most}
 
 
 def control_note(controls: Mapping[str, str]) -> str:
-    """Return a sentence that says by which control mode each agent acts; empty without any."""
+    """Return a sentence that names the control mode of each agent; empty if none has one."""
     if not any(controls.values()):
         return ""
     others = other_controls(controls)
@@ -146,14 +146,14 @@ def control_note(controls: Mapping[str, str]) -> str:
 
 
 class Arms:
-    """The vector environments of what is played, made when needed and played by agents in turn."""
+    """The vector environments of a scenario, made when needed and used by agents in turn."""
 
     def __init__(self, played: Playable) -> None:
         self._played = played
         self._made: dict[tuple[int, str | None, str], MMCReachVectorEnv] = {}
 
     def vector(self, count: int, control: str | None, context: Any) -> MMCReachVectorEnv | None:
-        """Return the one of this package that equals the single environment, if there is one."""
+        """Return this package's vector environment of `count` arms; None if it has none."""
         key = count, control, repr(context)
         if key not in self._made:
             more = {"observe_context": context} if context else {}
@@ -165,7 +165,7 @@ class Arms:
         return self._made.get(key)
 
     def close(self) -> None:
-        """Close them all."""
+        """Close all vector environments."""
         while self._made:
             self._made.popitem()[1].close()
 
@@ -179,11 +179,11 @@ def play_episodes(
     *,
     on_episode: Callable[[Episode], None] | None = None,
 ) -> tuple[Episode, ...]:
-    """Let an agent play: all episodes together, or else one by one.
+    """Let an agent play one episode per seed, all together or one by one; return the episodes.
 
-    An `Agent` plays them together, where there is a vector environment among the `arms`; anything
-    else with `predict` may take no batches.  For `env` and `player` see `make_player`, for the rest
-    `run_episodes`.
+    An `Agent` plays all together if `arms` has a vector environment; other objects with `predict`
+    may not take batches, and play one by one.  For `env` and `player` see `make_player`, for the
+    rest `run_episodes`.
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
@@ -210,9 +210,10 @@ def play_episodes(
 
 
 def has_reference(env: gym.Env[Any, Any]) -> bool:
-    """Return whether all hands in `env` have the same targets at the same times, and can succeed.
+    """Return whether the ideal hand can play in `env`: with timed targets and a success distance.
 
-    Via points move on when they are reached; without a success distance only the environment knows.
+    Via points advance when they are reached, at other times for each hand.  If the success distance
+    is NaN, only the environment knows what success is.
     """
     if math.isnan(getattr(env.unwrapped, "success_distance", 0.0)):
         return False
@@ -221,9 +222,9 @@ def has_reference(env: gym.Env[Any, Any]) -> bool:
 
 
 def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
-    """Return the ideal movements from the starts to the targets of episodes of any agent.
+    """Return the ideal hand's episodes for the starts and targets of any agent's `episodes`.
 
-    They have the same lengths, N = 0 joints, and NaN as rewards and action times.
+    Each is as long as the given one, with N = 0 joints, and NaN as rewards and action times.
     """
     if not episodes:
         return ()
@@ -237,7 +238,7 @@ def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
     plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
     control_step = episodes[0].control_step
     movement = begin_movement(starts, targets[0], control_step)
-    hands: list[Floats] = [starts]  # at all times, (episodes, 2) each
+    hands: list[Floats] = [starts]  # one array per time, (episodes, 2)
     for target in targets[:-1]:
         movement = follow_target(movement, plan.position, target, control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)

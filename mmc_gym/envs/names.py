@@ -9,13 +9,13 @@ One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, report
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
 `force-field-60`).  From a range (`rotation--60..60`) each episode draws its strength.  With `-at-1`
-it begins 1 s after the start, with `-over-2` it grows for 2 s from no change to its strength.  With
-`-known`, agents are given the changed body.  Without a task it is "random": an agent's episodes
-differ from those of `random` in the perturbations alone, because the same seeds draw the same
-starts and targets.
+it begins 1 s after the start; with `-over-2` it grows for 2 s from no change to its strength.  With
+`-known`, agents are given the changed body.  Without a task, the task is "random".  The
+same seeds then draw the same starts and targets as in `random`: episodes differ in the
+perturbations alone.
 
-A name is parsed once, where a user or a file gives it; from there on values travel, a `TaskEntry`
-and one or more of `Change`.  Names are looked up, and nothing is imported for them.
+A name is parsed once, where a user or a file gives it.  From there on, the code passes values: a
+`TaskEntry`, and a `Change` for each perturbation.  Parsing looks names up; it imports nothing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ from mmc_gym.envs.tasks import (
 )
 
 BASELINE = "random"
-"""The task without perturbation: strength 0 of every family."""
+"""The task of names that state none.  Unperturbed, it is strength 0 of every family."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +77,16 @@ class TaskEntry:
 
     name: str  #: words with hyphens
     task: Task
-    description: str = ""  #: in a line
+    description: str = ""  #: one line
 
     @property
     def is_shipped(self) -> bool:
-        """Whether every process knows it by its name: it is one of this package."""
+        """Whether the task is one of this package, so that every process knows its name."""
         return _SHIPPED_TASKS.get(self.name) == self
 
     @property
     def is_registered(self) -> bool:
-        """Whether this process knows it by its name, yours included."""
+        """Whether this process knows the task by its name, your registered tasks included."""
         return TASKS.get(self.name) == self
 
 
@@ -103,7 +103,7 @@ class Range:
         return self.low, self.high
 
     def ppf(self, shares: Any) -> Any:
-        """Return the strengths at these quantiles."""
+        """Return the strengths at the quantiles `shares` (0 to 1), in the same shape."""
         if self.whole:
             return np.minimum(self.low + np.floor((self.high - self.low + 1) * shares), self.high)
         return self.low + (self.high - self.low) * shares
@@ -115,16 +115,16 @@ class Family:
 
     name: str  #: the first part of their names
     unit: str  #: of the strength
-    description: str  #: of a scenario, in a line; `{}` stands for the strength
+    description: str  #: of a scenario, one line; `{}` stands for the strength
     default: float  #: strength of a name without one
     #: makes the perturbation of a strength
     make: Callable[[float], Perturbation] = field(compare=False)
     known: bool = False  #: whether agents can be given the change (`-known`)
     whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
-    has_strength: bool = True  #: without, there is one perturbation, and its name has no number
+    has_strength: bool = True  #: if not, there is one perturbation, without a number
 
     def with_strength(self, strength: float | Range, known: bool = False) -> Change:
-        """Return the perturbation of this strength, of which agents know if it is `known`.
+        """Return the perturbation of this strength; if `known`, agents are given the changed body.
 
         From a `Range` each episode draws its strength.
 
@@ -164,11 +164,11 @@ class Change:
     perturbation: Perturbation
     family: Family | None = None
     strength: float | None = None  #: comparable within the family
-    range: Range | None = None  #: from which each episode draws a strength, in its place
+    range: Range | None = None  #: each episode draws a strength from it; `strength` is None
 
     @property
     def name(self) -> str:
-        """Its name for people and files: "longer-35-known"; without a family, its class's."""
+        """The name for people and files: "longer-35-known"; without a family, the class's name."""
         strength = self.strength if self.range is None else self.range
         if self.family is None or strength is None:
             return type(self.perturbation).__name__
@@ -177,13 +177,13 @@ class Change:
 
     @property
     def suffix(self) -> str:
-        """The last part of the name: when it begins, or "-known" if agents may not be given it."""
+        """The end of the name, after the strength: "-at-1-over-2", "-known", or empty."""
         timing = "".join(f"-{word}-{_digits(seconds)}" for word, seconds in self._timing)
         return timing + ("-known" if self._is_given else "")
 
     @property
     def _timing(self) -> list[tuple[str, float]]:
-        """When it begins and how long it grows, s, each where it is not 0."""
+        """The pairs ("at", start) and ("over", duration of growth), s, without those that are 0."""
         one = self.perturbation
         timing = [("at", one.at), ("over", one.over)] if isinstance(one, Timed) else []
         return [(word, seconds) for word, seconds in timing if seconds]
@@ -205,18 +205,18 @@ class Change:
 
     @property
     def untimed(self) -> Perturbation:
-        """The perturbation at its full strength, whenever that is."""
+        """The perturbation at full strength, without `Timed` around it."""
         one = self.perturbation
         return one.perturbation if isinstance(one, Timed) else one
 
     @property
     def unit(self) -> str:
-        """The unit of its strength."""
+        """The unit of the strength; empty without a family."""
         return self.family.unit if self.family else ""
 
     @property
     def description(self) -> str:
-        """What changes, in a line."""
+        """One line that says what changes, and when."""
         strength = self.strength if self.range is None else self.range
         if self.family is None or strength is None:
             return self.name
@@ -233,14 +233,14 @@ class Change:
         """Return the same perturbation with another strength.
 
         Raises:
-            UserError: if there is no such strength, or without a family.
+            UserError: if there is no such strength, or if the perturbation has no family.
         """
         if self.family is None:
             raise UserError(f"the perturbation {self.name} has no family, and so no strength")
         return self.family.with_strength(strength, self._is_given).timed(**dict(self._timing))
 
     def timed(self, at: float = 0.0, over: float = 0.0) -> Change:
-        """Return it as it begins `at` s after the start, and grows for `over` s; see `Timed`."""
+        """Return the change, to begin `at` s after the start and grow for `over` s; see `Timed`."""
         if not at and not over:
             return self
         try:
@@ -275,7 +275,7 @@ def parse_parts(name: object) -> tuple[TaskEntry, tuple[Change, ...]]:
 
 
 def parse_change(name: object, argument: str = "perturbations") -> Change:
-    """Return the perturbation of a name; an error names the argument.
+    """Return the perturbation of a name; an error message mentions `argument`.
 
     >>> parse_change("longer-35-known").description
     'last segment 35 % longer, given to agents'
@@ -298,14 +298,14 @@ def parse_change(name: object, argument: str = "perturbations") -> Change:
 
 
 def parse_task(name: object) -> TaskEntry:
-    """Return the task of a name."""
+    """Return the task entry of a name."""
     if not isinstance(name, str) or name not in TASKS:
         raise unknown("task", name, TASKS, "a Task")
     return TASKS[name]
 
 
 def as_change(value: object) -> Change:
-    """Return a perturbation given by name, as an object, or as in a file: {"one_of": [...]}."""
+    """Return the change that a name, an object, or a file's {"one_of": [...]} stands for."""
     if isinstance(value, Mapping):
         require_known("a mixture", value, ("one_of", "weights"))
         options = value.get("one_of", ())
@@ -330,7 +330,7 @@ def as_task(value: object) -> Task:
 
 
 def _unknown(name: object, argument: str) -> UserError:
-    """Return the error that a name is unknown, with what may have been meant."""
+    """Return the error for an unknown name; it suggests the nearest known one."""
     text = name if isinstance(name, str) else ""
     if text in TASKS:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
@@ -495,20 +495,20 @@ TASKS: dict[str, TaskEntry] = {one.name: one for one in _TASKS}
 """The tasks by name."""
 
 
-# Registration.  Yours may be registered again, as in a notebook; ours may not.
+# Registration.  Users may register their names again, as in a notebook, but no shipped name.
 
 _SHIPPED_TASKS = dict(TASKS)
 _SHIPPED = frozenset((*TASKS, *FAMILIES))
 
 
 def environment_id(task: str = BASELINE) -> str:
-    """Return the id of a task: `MMCReachCentreOut-v0` of `centre-out`."""
+    """Return the environment id of a task: `MMCReachCentreOut-v0` for `centre-out`."""
     words = "" if task == BASELINE else "".join(word.capitalize() for word in task.split("-"))
     return f"MMCReach{words}-v0"
 
 
 def task_ids() -> dict[str, str]:
-    """Return the names of the tasks by id."""
+    """Return a mapping from environment ids to names of tasks."""
     return {environment_id(name): name for name in TASKS}
 
 
@@ -520,7 +520,7 @@ def register_all() -> None:
 
 
 def _register(env_id: str, entry: TaskEntry, kind: str = "MMCReach") -> None:
-    gym.registry.pop(env_id, None)  # of a module that is read again
+    gym.registry.pop(env_id, None)  # if it was registered before, as by a reloaded module
     # Names, not objects, so that Gymnasium's specs can be written to files.
     arguments: dict[str, Any] = {} if entry.name == BASELINE else {"task": entry.name}
     gym.register(
@@ -533,13 +533,13 @@ def _register(env_id: str, entry: TaskEntry, kind: str = "MMCReach") -> None:
 
 
 def register_task(name: str, task: Task, description: str = "") -> None:
-    """Name your own task, for its id, arguments, the benchmark, the report and file names.
+    """Register your own task under a name, for ids, arguments, the benchmark and the report.
 
     Args:
-        name: words with hyphens that nothing else is called by, such as "near-targets", whose id is
-            `MMCReachNearTargets-v0`.
+        name: words with hyphens that name no family and no task of this package, such as
+            "near-targets"; its id is `MMCReachNearTargets-v0`.
         task: an object of your class.
-        description: a line for the report.
+        description: one line for the report.
     """
     fine = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
     fine = fine and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
@@ -550,9 +550,9 @@ def register_task(name: str, task: Task, description: str = "") -> None:
 
 
 def register_perturbation(family: Family) -> None:
-    """Name your own perturbations, for scenarios, arguments, the benchmark and the report.
+    """Register your own family, for scenarios, arguments, the benchmark and the report.
 
-    The family's name is words with hyphens that no task and no family of this package is called by.
+    The family's name must be words with hyphens that name no task and no family of this package.
     """
     require(isinstance(family, Family), "family", family, "a Family")
     fine = family.name not in {*TASKS, *_SHIPPED}

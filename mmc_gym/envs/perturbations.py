@@ -1,8 +1,8 @@
-"""Perturbations: what goes wrong with the body, with the sight of the hand, or with the senses.
+"""Perturbations of the body, of the cursor that stands for the hand, or of the senses.
 
 Each is a frozen dataclass of physical parameters.  They can be combined.  Some change the body
-(`change_body`), whose parameters are checked then; a visuomotor rotation moves the cursor that
-stands for the hand; noise and delay change observations, not rewards.  `Timed` ones begin or grow
+(`change_body`), whose new parameters are checked.  Some move the cursor, such as a visuomotor
+rotation.  Noise and delay change observations, not rewards.  `Timed` perturbations begin or grow
 within an episode.  Lengths are in segment lengths.
 
 `mmc_gym.envs.names` gives them names, with any strength.
@@ -49,11 +49,11 @@ FOUR_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.
 
 
 class Drawn(np.ndarray):
-    """Numbers of many arms, drawn from a distribution whose ends were checked."""
+    """Numbers drawn for many arms from a distribution whose ends have been checked."""
 
 
 def ends_of(distribution: Any) -> tuple[float, float]:
-    """Return the least and the greatest value that is drawn: of a tail without end, its 1e-6."""
+    """Return the least and greatest value; for an infinite tail, its quantile at 1e-6."""
     ends = zip(distribution.support(), (1e-6, 1 - 1e-6), strict=True)
     low, high = (float(end if np.isfinite(end) else distribution.ppf(tail)) for end, tail in ends)
     return low, high
@@ -66,14 +66,14 @@ def drawn_fields(*perturbations: Perturbation) -> list[str]:
 
 
 class Perturbation:
-    """Something that goes wrong; this base class changes nothing."""
+    """The base class of perturbations, which itself changes nothing."""
 
     known: bool = False  # whether agents are given the changed body
-    #: values of fields with which it changes nothing; without any it cannot be `Timed`
+    #: field values that mean no change; without any, a perturbation cannot be `Timed`
     neutral: ClassVar[Mapping[str, float]] = {}
 
     def __init_subclass__(cls) -> None:
-        """Let the checks of a field be those of the ends of its distribution, if it has one."""
+        """Make `__post_init__` check both ends of a distribution that is the value of a field."""
         if "__post_init__" not in vars(cls):
             return
         check: Callable[[Perturbation], None] = vars(cls)["__post_init__"]
@@ -90,7 +90,7 @@ class Perturbation:
         cls.__post_init__ = check_ends  # type: ignore[attr-defined]
 
     def grown(self, share: Any) -> Self:
-        """Return it at a share of its strength, from 0 to 1: a number, or an array of n arms."""
+        """Return the perturbation at a share (0 to 1) of its strength, a number or (n,)."""
         grown = object.__new__(type(self))  # its numbers may become arrays, and are checked already
         vars(grown).update(vars(self))
         vars(grown).pop("turn", None)
@@ -115,7 +115,7 @@ class Perturbation:
 
 @frozen
 class ForceField(Perturbation):
-    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x); several add.
+    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).  Fields add up.
 
     After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
     the field drives the servos to their torque limit.
@@ -136,17 +136,17 @@ class Channel(Perturbation):
 
     After Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi (2000), J. Neurophysiol. 84:853.
     `info` has the `channel_force` with which the hand pushes to the left, and the `ideal_force`
-    that would cancel a curl field: its strength times the speed along the line.  The slope of the
-    one on the other is what was learned of the field (Smith, Ghazizadeh & Shadmehr 2006, PLoS
-    Biol. 4:e179).
+    that would cancel a curl field: `curl` times the speed along the line.  The slope of
+    `channel_force` on `ideal_force` is the share of the field that was learned (Smith, Ghazizadeh &
+    Shadmehr 2006, PLoS Biol. 4:e179).
     """
 
-    curl: float = 60.0  #: of the field whose ideal force is compared, see `ForceField`
+    curl: float = 60.0  #: of the field that `ideal_force` would cancel, see `ForceField`
 
 
 @frozen
 class HandMass(Perturbation):
-    """The hand carries a point mass; several add."""
+    """The hand carries a point mass.  Masses add up."""
 
     mass: float = 3.0  #: segment masses; 3 is as heavy as the default arm
     neutral = {"mass": 0.0}
@@ -202,7 +202,7 @@ class LockedJoint(Perturbation):
     time: float = 0.0  #: when it locks, s after the start; the same for all joints that lock
     known: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
     neutral = {"shown": 0.0}
-    shown = 1.0  # or 0 for no lock; of many arms an array
+    shown = 1.0  # 1: locks, 0: does not; an array for many arms
 
     def __post_init__(self) -> None:
         require_between(0, LONGEST, time=self.time)
@@ -219,7 +219,7 @@ class LockedJoint(Perturbation):
 
 @frozen
 class Obstacles(Perturbation):
-    """Fixed discs in the plane stop the arm, without friction; several add.
+    """Fixed discs in the plane stop the arm, without friction.  Several `Obstacles` add up.
 
     Starting postures and drawn targets are clear of them.  The way between may be blocked, and
     the path of a pursued target may lead through them.  Physics steps are half as long as without
@@ -234,23 +234,23 @@ class Obstacles(Perturbation):
     def change_body(self, body: ArmParameters) -> ArmParameters:
         discs = (*body.obstacles, *self.discs)
         arm = replace(body, obstacles=discs, segment_radius=self.segment_radius)
-        if body.obstacles:  # its steps are short already
+        if body.obstacles:  # physics steps are short already
             return arm
         return replace(arm, substep=body.substep / 2, substeps=2 * body.substeps)
 
 
 class Noise(Perturbation, ABC):
-    """Noise of the senses, white in time and normally distributed; while it is 0, none is drawn."""
+    """Noise of the senses, white and normally distributed; noise of 0 draws no random numbers."""
 
     @property
     def is_heard(self) -> Any:
-        """Whether it is not 0: a bool, or (n,) of n arms."""
+        """Whether the noise is not 0, a bool or (n,) for n arms."""
         differ = [getattr(self, name) != none for name, none in self.neutral.items()]
         return reduce(np.logical_or, differ) if differ else True
 
     @abstractmethod
     def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
-        """Return what is seen under noise; `draw(k)` gives standard normal numbers, (..., k)."""
+        """Return `seen` with noise; `draw(k)` gives standard normal numbers, (..., k)."""
 
 
 class Cursor(Perturbation, ABC):
@@ -259,8 +259,8 @@ class Cursor(Perturbation, ABC):
     #: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or the base
     #: if they begin anywhere.
     centre: Point | None
-    keeps_distance: ClassVar[bool] = False  #: whether it is as far from the centre as the hand
-    shown: Any = 1.0  # by the `neutral` of one that cannot grow: 1 from when it begins, 0 before
+    keeps_distance: ClassVar[bool] = False  #: if the cursor is as far from the centre as the hand
+    shown: Any = 1.0  # in `neutral` of cursors that cannot grow: 0 before they begin, then 1
 
     @abstractmethod
     def cursor(self, x: Any, y: Any, target: Place) -> Place:
@@ -280,7 +280,7 @@ class Cursor(Perturbation, ABC):
         return _turn(self.degrees)  # type: ignore[attr-defined]
 
     def _if_shown(self, cursor: Place, hand: Place) -> Place:
-        """Return the cursor, or the hand as long as the cursor has not begun."""
+        """Return the position of the cursor, or of the hand until the perturbation begins."""
         if isinstance(self.shown, float):
             return cursor if self.shown else hand
         x, y = (np.where(self.shown, one, other) for one, other in zip(cursor, hand, strict=True))
@@ -295,7 +295,7 @@ class VisuomotorRotation(Cursor):
     """
 
     degrees: float = 30.0  #: counter-clockwise
-    #: as of every cursor.  A turn about the base leaves all targets in reach; one about another
+    #: as for every cursor.  A turn about the base leaves all targets in reach; one about another
     #: point may take fixed targets near the border out of reach.
     centre: Point | None = None
     neutral = {"degrees": 0.0}
@@ -328,7 +328,7 @@ class VisuomotorRotation(Cursor):
 
 @frozen
 class CursorGain(Cursor):
-    """The cursor is so many times as far from the centre as the hand.
+    """The cursor is `factor` times as far from the centre as the hand.
 
     After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who also changed the gain.
     """
@@ -387,7 +387,7 @@ class CursorMirror(Cursor):
 
 @frozen
 class ErrorClamp(Cursor):
-    """The cursor moves along a fixed direction, as far from the centre as the hand, which is free.
+    """The cursor moves in a fixed direction, as far from the centre as the freely moving hand.
 
     After Morehead, Taylor, Parvin & Ivry (2017), J. Cogn. Neurosci. 29:1061.
     """
@@ -414,13 +414,13 @@ class ErrorClamp(Cursor):
 
 @frozen
 class CursorJump(Cursor):
-    """The cursor is the hand, until it jumps across the way to the target and keeps that distance.
+    """The cursor is the hand, until it jumps sideways from the way to the target and stays offset.
 
     After Saunders & Knill (2005), Exp. Brain Res. 162:458.
     """
 
     percent: float = 10.0  #: of the way from the centre to the target; positive to the left
-    share: float = 0.25  #: of the way that the hand has made when the cursor jumps
+    share: float = 0.25  #: of the way that the hand has covered when the cursor jumps
     centre: Point | None = None
     neutral = {"percent": 0.0}
 
@@ -439,19 +439,19 @@ class CursorJump(Cursor):
 
 @dataclass(frozen=True)
 class Cursors(Cursor):
-    """Several cursors in one: each moves what the one before shows."""
+    """Several cursors combined: each transforms the position that the previous one shows."""
 
     parts: tuple[Cursor, ...]
 
     @property
     def centre(self) -> Point | None:  # type: ignore[override]
-        """The centre of all parts, or None."""
+        """The common centre of all parts; None if their centres differ."""
         centres = {part.centre for part in self.parts}
         return centres.pop() if len(centres) == 1 else None
 
     @property
     def keeps_distance(self) -> bool:  # type: ignore[override]
-        """Whether all parts are as far from their centres as what they move."""
+        """Whether every part keeps the distance from its centre."""
         return all(part.keeps_distance for part in self.parts)
 
     @override
@@ -468,7 +468,7 @@ class Cursors(Cursor):
 
 
 def _turn(degrees: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of an angle or an array of angles, to the same bits."""
+    """Return cosine and sine of an angle or of an array of angles, bit for bit the same."""
     if isinstance(degrees, np.ndarray):  # numpy's cosine may differ; few angles do
         angles, places = np.unique(degrees, return_inverse=True)
         return tuple(np.array([*map(_turn, angles.tolist())])[places].T)
@@ -476,7 +476,7 @@ def _turn(degrees: Any) -> tuple[Any, Any]:
 
 
 def _direction(centre: Point, target: Place) -> tuple[Any, Any, Any]:
-    """Return the unit vector from the centre to the target, 0 if they coincide, and its length."""
+    """Return x and y of the unit vector from centre to target (0 if equal), and their distance."""
     x, y = target[0] - centre[0], target[1] - centre[1]
     way = np.sqrt(x * x + y * y)  # rounds alike for numbers and arrays; `hypot` does not
     whole = way + (way == 0.0)
@@ -546,8 +546,8 @@ class Delay(Perturbation):
 class SensoryDelay(Delay):
     """All observations are late; until the delay is over, they show the start.
 
-    `gymnasium.wrappers.DelayObservation` shows zeros at first, which no posture has, and cannot
-    wrap a vector environment.
+    Gymnasium has `gymnasium.wrappers.DelayObservation`, but it shows zeros at first, which no
+    posture has, and cannot wrap a vector environment.
     """
 
 
@@ -561,10 +561,10 @@ class VisionDelay(Delay):
 
 
 class Feedback(Perturbation, ABC):
-    """The hand is seen at the start, and then at some times only; its last sight stays meanwhile.
+    """The hand is seen at the start, and after that only at some times.
 
-    An observation then repeats where the hand, or its cursor, was last seen; `info["is_hand_seen"]`
-    says whether that is now.  The target is always seen.
+    In between, observations repeat where the hand, or its cursor, was last seen.
+    `info["is_hand_seen"]` says whether it is seen now.  The target is always seen.
     """
 
     neutral = {"hidden": 0.0}
@@ -572,12 +572,12 @@ class Feedback(Perturbation, ABC):
 
     @abstractmethod
     def shows(self, ends: Any) -> Any:
-        """Return whether the hand is seen, given whether the movement ends in this step, (n,)."""
+        """Return whether hands are seen, (n,), given whether movements end in this step, (n,)."""
 
 
 @frozen
 class NoFeedback(Feedback):
-    """The hand is never seen after the start: what was learned shows without corrections."""
+    """The hand is never seen after the start: no visual correction hides what was learned."""
 
     @override
     def shows(self, ends: Any) -> Any:
@@ -586,7 +586,7 @@ class NoFeedback(Feedback):
 
 @frozen
 class EndpointFeedback(Feedback):
-    """The hand is seen where the movement ended, not on the way, and stays there.
+    """The hand is seen only at the end of the movement, and is shown there from then on.
 
     The movement ends when the hand is slower than 5 % of its peak speed.  People learn from such
     endpoints, too (Taylor, Krakauer & Ivry 2014, J. Neurosci. 34:3023).
@@ -600,7 +600,7 @@ class EndpointFeedback(Feedback):
 class OneOf(Perturbation):
     """One of several perturbations, drawn for each episode; `None` is no change.
 
-    Options that are drawn themselves, such as `VisuomotorRotation(uniform(-60, 120))`, are welcome.
+    Options may be drawn themselves, such as `VisuomotorRotation(uniform(-60, 120))`.
     """
 
     def __init__(self, *options: Any, weights: Sequence[float] | None = None) -> None:
@@ -629,26 +629,26 @@ class OneOf(Perturbation):
     def check_hooks(self) -> None: ...  # its options are checked by themselves
 
     def ppf(self, shares: Floats) -> Floats:
-        """Return the numbers of the options at these quantiles."""
+        """Return the indices of the options at the quantiles `shares`, as floats of its shape."""
         borders = np.cumsum(self.weights) / np.sum(self.weights)
         return np.searchsorted(borders[:-1], shares, side="right").astype(np.float64)
 
     def support(self) -> tuple[float, float]:
-        """Return the first and the last number."""
+        """Return the indices of the first and the last option."""
         return 0.0, len(self.options) - 1.0
 
 
 @frozen
 class Timed(Perturbation):
-    """A perturbation begins at a time of the episode, and may grow from then on.
+    """A perturbation that begins during the episode, and may grow from then on.
 
-    It grows linearly, from no change to its strength.  Targets are in reach all the time.  People
+    It grows linearly, from no change to its strength.  Drawn targets stay in reach.  People
     correct for a change within the movement (Crevecoeur, Thonnard & Lefèvre 2020, eNeuro 7).
     """
 
     perturbation: Perturbation
     at: float = 0.0  #: when it begins, s after the start, rounded to control steps
-    over: float = 0.0  #: how long it grows, s, likewise; 0: it has its strength at once
+    over: float = 0.0  #: how long it grows, s, also rounded; 0: full strength at once
 
     def __post_init__(self) -> None:
         require_between(0, LONGEST, at=self.at, over=self.over)
@@ -670,7 +670,7 @@ class Timed(Perturbation):
         self.perturbation.check_hooks()
 
     def share(self, steps: Any, control_step: float) -> Any:
-        """Return the share of its strength after some control steps, (...)."""
+        """Return the share (0 to 1) of the full strength after `steps` control steps, (...)."""
         since, rise = steps - np.rint(self.at / control_step), np.rint(self.over / control_step)
         return np.clip((since + (rise == 0)) / np.maximum(rise, 1), 0.0, 1.0)
 
@@ -679,7 +679,7 @@ class Timed(Perturbation):
         return replace(self, perturbation=self.perturbation.grown(share))
 
     def moments(self, control_step: float) -> list[int]:
-        """Return control steps, in order: that before it begins, and at most 101 as it grows."""
+        """Return sorted control steps: the one before it begins, and up to 101 while it grows."""
         at, rise = round(self.at / control_step), round(self.over / control_step)
         growing = np.linspace(at, at + rise, min(rise, 100) + 1)
         return [at - 1, *growing.round().astype(int).tolist()]
@@ -688,7 +688,7 @@ class Timed(Perturbation):
 def timed_parts(
     perturbations: Sequence[Perturbation], steps: Any, control_step: float
 ) -> list[Perturbation]:
-    """Return the perturbations as they are after some control steps, arrays (n,) of n arms."""
+    """Return the perturbations as they are after `steps` control steps, a number or (n,)."""
     return [
         one.perturbation.grown(one.share(steps, control_step)) if isinstance(one, Timed) else one
         for one in perturbations
@@ -696,7 +696,7 @@ def timed_parts(
 
 
 def _index(name: str, index: Any, count: int) -> Any:
-    """Return an index counted from 0; negative ones count from the end."""
+    """Return the index as one from 0 to `count` − 1; a negative index counts from the end."""
     if isinstance(index, np.ndarray):  # of many arms
         return index.astype(int) % count
     if isinstance(index, float) and index.is_integer():  # drawn

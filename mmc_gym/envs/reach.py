@@ -220,7 +220,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     @property
     def perturbations(self) -> Any:
-        """The perturbations, as they were given; others are those of the next episode."""
+        """The perturbations as they were given; set them to change those of later episodes."""
         return self._arguments.perturbations
 
     @perturbations.setter
@@ -229,13 +229,13 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     @property
     def arm(self) -> SingleArm:
-        """The simulated arm, to look at: its state is true, even if the senses are disturbed."""
+        """The simulated arm, for reading; its state is true, even if the senses are disturbed."""
         return self._arm
 
     def set_target(self, target: ArrayLike) -> None:
         """Move the target to (x, y) during an episode; the next step observes and rewards it.
 
-        It stays there, whatever the task.  If it is no point in reach, a `UserError` is raised, and
+        The target stays there, whatever the task.  A point out of reach raises a `UserError`, and
         the target stays where it was.
         """
         self._targets = [self.setup.check_target("target", target)]
@@ -244,7 +244,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def show_posture(self, joint_angles: ArrayLike | None) -> None:
         """Draw a second arm into the following pictures, such as that of an internal model.
 
-        Its joint angles are N, relative, in radians; None draws no second arm.
+        `joint_angles` are its N relative angles in radians; None draws no second arm.
         """
         if joint_angles is not None:
             count = self.setup.joint_count
@@ -281,7 +281,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
     def _begin(self, setup: ReachSetup) -> None:
-        """Begin an episode with this setup, which another draw may have changed."""
+        """Use this setup for the next episode, and empty the buffers of late observations."""
         if setup.body != self.setup.body:
             self.close()  # the window shows one arm
         self.setup = setup
@@ -291,7 +291,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
 
     def _with_context(self, observation: Any, info: Info) -> Any:
-        """Return the observation with the context, if that is shown; write it into `info`."""
+        """Write the drawn context into `info`; return the observation with the observed context."""
         if self._draws is not None:
             info["context"] = self._context.copy()
         return with_context(observation, self._shown) if len(self._shown) else observation
@@ -370,7 +370,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return seen, reward, info
 
     def _observe(self, true: Seen, info: Info) -> Any:
-        """Return what is seen, with noise and hidden hands; complete `info`."""
+        """Return the observation under noise and feedback; say in `info` if the hand is seen."""
         setup, now, sight = self.setup, self._now, self._hand_sight
         if not setup.full.feedback:
             return setup.observe(true, now.noises, [self.np_random])[0]
@@ -389,7 +389,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return hand if cursor is None else cursor.cursor(*hand, self._target)
 
     def _delayed(self, observation: Any) -> Any:
-        """Return the observation that has arrived; it shares no memory with later ones."""
+        """Store an observation; return the one that arrives now, which shares no memory."""
         if not self.setup.are_senses_disturbed:
             return observation
         self._late.append(observation)
@@ -397,14 +397,14 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
 
 def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
-    """Return observations, (..., n) or a mapping, with a context, (..., m), behind them."""
+    """Return observations, (..., n) or a mapping, with a context, (..., m), appended."""
     if isinstance(observation, dict):
         return {**observation, "observation": with_context(observation["observation"], shown)}
     return np.concatenate([observation, shown], axis=-1)
 
 
 class HandSight:
-    """Where the hands of n arms were last seen, and how far their movements are."""
+    """A memory of where the hands of n arms were last seen, and of their movements' ends."""
 
     def __init__(self, count: int, control_step: float) -> None:
         self._seen, self._hands = np.zeros((2, count, 2))
@@ -420,9 +420,10 @@ class HandSight:
         seen: Floats,
         feedback: Sequence[Feedback],
     ) -> Floats:
-        """Return where the hands of k arms are seen, (k, 2), given where they would be `seen`.
+        """Return where the hands of k arms were last seen, (k, 2), and remember it.
 
-        The `arms` are indices, (k,), their `steps` control steps since the start, (k,).
+        `arms` are indices, (k,), `steps` control steps since the start, (k,), `hands` the true
+        positions, (k, 2), and `seen` those that would be shown without `feedback`, (k, 2).
         """
         starts = steps == 0
         self._peaks[arms[starts]], self._has_ended[arms[starts]] = 0.0, False
@@ -449,7 +450,7 @@ def _distance(hand: Point, target: Point) -> float:
 
 
 def precision(distance: Number, weight: float) -> Number:
-    """Return the reward for precision: its weight on the target, and half of it 0.05 away."""
+    """Return the reward for precision: `weight` at distance 0, half of it at 0.05."""
     return weight * (HALF_PRECISE / (HALF_PRECISE + distance))
 
 
@@ -460,10 +461,10 @@ def reward_and_info(
     speeds_before: Numbers,
     settings: RewardSettings,
 ) -> tuple[Number, Info]:
-    """Return the reward of a state, and the infos that explain it.
+    """Return the reward of a state, and the entries of `info` that explain it.
 
     The distance is from the target to the hand, or to the cursor that stands for it.  Speeds of the
-    joints, now and one control step earlier, are fractions of their limit, joints first.
+    joints, now and one control step earlier, are fractions of their limit, (N,) or (N, n).
     """
     reward_control = _minus_mean_square(speeds, settings.control_weight)
     reward_precision = precision(distance, settings.precision_weight)
@@ -490,7 +491,7 @@ def _minus_mean_square(speeds: Numbers, weight: float) -> Any:
 
 
 class GoalEnvironment(ReachEnvironment):
-    """Rewards for relabelled transitions."""
+    """The common part of the goal environments: rewards for relabelled transitions."""
 
     def compute_reward(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any

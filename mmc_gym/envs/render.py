@@ -98,13 +98,13 @@ class Canvas:
         pygame.draw.circle(self.surface, color, pixel, radius)
 
     def ring(self, color: Color, middle: Place, radius: float, width: float) -> None:
-        """Paint a circle; the line is centred on it."""
+        """Paint a circle, with a line of this width centred on it."""
         pixel, outer = self.view.pixel(middle), self.view.stroke(radius + width / 2)
         line = max(1, round(self.view.stroke(width)))
         pygame.draw.circle(self.surface, color, pixel, outer, line)
 
     def square(self, color: Color, middle: Point, radius: float, turn: float = 0.0) -> None:
-        """Paint a square on its corner, `radius` from the middle to each; `turn` is in radians."""
+        """Paint a square on its corner, with half-diagonal `radius`, turned by `turn` radians."""
         (x, y), radius = self.view.pixel(middle), self.view.stroke(radius)
         angles = [turn + quarter * math.pi / 2 for quarter in range(4)]
         corners = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles]
@@ -167,7 +167,7 @@ class Scene:
     path: Sequence[Place] = ()  #: all places of the target; empty if it does not move
     ghost: Sequence[float] | None = None  #: N joint angles of an internal model, radians
     steps: int = 0  #: control steps since the reset
-    observation: Any = None  #: the last one; it is drawn if the senses are disturbed
+    observation: Any = None  #: with noise and delay; drawn if the senses are disturbed
 
 
 class Renderer:
@@ -188,7 +188,7 @@ class Renderer:
         self._window = Window(setup.frame_rate) if mode == "human" else None
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Return a picture (height, width, 3), a new array; None if it is shown in a window."""
+        """Return the picture, a new array (height, width, 3); None if a window shows it instead."""
         nodes = _node_positions(scene.segment_angles, self._lengths)
         self._canvas.surface.blit(self._scenery, (0, 0))
         self._paint_path(scene)
@@ -358,7 +358,7 @@ class Renderer:
 def open_display(*, must_be_seen: bool = False) -> None:
     """Open the display for a window; raise a `UserError` if SDL cannot.
 
-    If it `must_be_seen`, a driver without a screen is refused, unless SDL_VIDEODRIVER names it.
+    With `must_be_seen`, a driver without a screen is refused, unless SDL_VIDEODRIVER is set.
     """
     reason = "SDL finds no screen"
     try:

@@ -1,6 +1,6 @@
-"""What is played: a scenario of this package, or an environment of your own, as a frozen value.
+"""Playable environments as frozen values: scenarios of this package, or environments of your own.
 
-A user's text is parsed once (`parse_scenario`, `parse_environment`).  The value then travels into
+A user's text is parsed once (`parse_scenario`, `parse_environment`).  The value is then passed to
 the environments, the settings of a store, an experiment's trials and the rows of a report.
 """
 
@@ -49,23 +49,23 @@ class Scenario:
 
     @property
     def name(self) -> str:
-        """The one name of task and perturbations, with their strengths."""
+        """The name for task and perturbations together, with strengths."""
         return "+".join(one.name for one in self._named)
 
     @property
     def description(self) -> str:
-        """What it is, in a line."""
+        """One line that describes task and perturbations."""
         return "; ".join(one.description for one in self._named)
 
     @property
     def _named(self) -> tuple[TaskEntry | Change, ...]:
-        """The parts that its name has: "random" only without perturbations."""
+        """The parts of the name; "random" is one of them only without perturbations."""
         is_implied = self.changes and self.task.name == BASELINE
         return self.changes if is_implied else (self.task, *self.changes)
 
     @property
     def family(self) -> str:
-        """The name up to the strength of the last perturbation: "centre-out+delay"; or ""."""
+        """The name up to the last strength: "centre-out+delay"; empty without perturbations."""
         if not self.changes:
             return ""
         *before, last = self._named
@@ -75,12 +75,12 @@ class Scenario:
 
     @property
     def strength(self) -> float | None:
-        """The strength of the last perturbation, comparable within the family."""
+        """The strength of the last perturbation, comparable within the family; None without one."""
         return self.changes[-1].strength if self.changes else None
 
     @property
     def unit(self) -> str:
-        """The unit of the strength."""
+        """The unit of the strength; empty without one."""
         return self.changes[-1].unit if self.changes else ""
 
     @property
@@ -105,7 +105,7 @@ class Scenario:
         return _instances(self.task.task.trial_count, episodes)
 
     def with_arguments(self, **more: Any) -> Scenario:
-        """Return the scenario with more arguments; refuse those that it sets itself."""
+        """Return the scenario with more arguments; a `UserError` if it sets one of them itself."""
         self.refuse(more, "task", *(["perturbations"] if self.changes else []))
         return replace(self, arguments={**self.arguments, **more})
 
@@ -144,13 +144,13 @@ class Scenario:
 
 @dataclass(frozen=True)
 class OwnEnvironment:
-    """An environment that is no scenario of this package: by id, or made by your function."""
+    """An environment that is given by its id, or made by your function; not a `Scenario`."""
 
     name: str
     env: EnvLike
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    interface: Any = None  #: if the environment has none, see `InterfacedEnv`
-    #: its definition for JSON, and the number of its task's trials; of one that is `inspected`
+    interface: Any = None  #: for an environment that has none, see `InterfacedEnv`
+    #: definition for JSON, and number of the task's trials; `inspected` sets both
     settings: Mapping[str, Any] = field(default_factory=dict)
     trial_count: int | None = None
 
@@ -159,14 +159,14 @@ class OwnEnvironment:
 
     @property
     def description(self) -> str:
-        """What it is, in a line."""
+        """One line that names the environment."""
         return f"environment {self.name}"
 
     def inspected(self) -> OwnEnvironment:
-        """Return it with its settings and the number of its trials, for which it is made once.
+        """Return a copy with `settings` and `trial_count`; make the environment once to read them.
 
         Raises:
-            UserError: if it is no reaching environment, and has no interface.
+            UserError: if it is not a reaching environment, and has no interface.
         """
         with closing(self.make()) as env:
             is_known = self.interface is not None or hasattr(env.unwrapped, "parameters")
@@ -193,7 +193,7 @@ class OwnEnvironment:
         return _instances(self.trial_count, episodes)
 
     def with_arguments(self, **more: Any) -> OwnEnvironment:
-        """Return it with more arguments."""
+        """Return the environment with more arguments."""
         return replace(self, arguments={**self.arguments, **more})
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
@@ -279,11 +279,11 @@ def parse_scenario(name: str, /, **arguments: Any) -> Scenario:
 def parse_environment(
     env: EnvLike | Playable, arguments: Mapping[str, Any] | None = None, interface: Any = None
 ) -> Playable:
-    """Return what a user wants to play: a scenario by its name, or another environment.
+    """Return the scenario of a name, or another environment, as a value.
 
     Args:
-        env: see `EnvLike`; modules in the working directory are found.  An id is played as it is
-            registered.
+        env: see `EnvLike`; modules in the working directory are found.  An id means the
+            environment that is registered with it.
         arguments: for its constructor.
         interface: of your own environment, if it has none, see `InterfacedEnv`.
     """
@@ -300,7 +300,7 @@ def parse_environment(
 
 
 def find_scenario(env: EnvLike | Playable) -> Playable:
-    """Return what is played by a name, where a task's id is another name of its scenario."""
+    """Parse an environment like `parse_environment`, but read a task's id as its scenario."""
     if isinstance(env, str) and env in task_ids():
         return parse_scenario(env)
     return parse_environment(env)
@@ -312,7 +312,7 @@ def _is_name(env: object) -> bool:
 
 
 def refuse_interface(interface: Any, *played: Playable) -> None:
-    """Raise a `UserError` if there is an interface for scenarios or ids, which have their own."""
+    """Raise a `UserError` if an interface is given for environments of this package."""
     shipped = [one.name for one in played if isinstance(one, Scenario) or one._is_ours]
     if interface is not None and shipped:
         names = ", ".join(shipped[:3]) + ", …" * (len(shipped) > 3)
@@ -348,7 +348,7 @@ class _NoEnvironment(UserError):
 def _gymnasium(
     make: Callable[..., Any], name: str, env_id: str, arguments: Mapping[str, Any]
 ) -> Any:
-    """Call `gym.make` or `gym.make_vec`; an error names the environment."""
+    """Call `gym.make` or `gym.make_vec`; an error message names the environment."""
     if (steps := arguments.get("max_episode_steps")) not in (None, -1):  # -1: no limit
         require_whole("max_episode_steps", steps)
     try:
@@ -375,9 +375,9 @@ def name_of(env: EnvLike) -> str:
 
 
 def code_of(thing: Any) -> str:
-    """Return the SHA-256 of the source of an object's class, and of the environment it wraps.
+    """Return the SHA-256 (hex) of the source of an object's class and of environments it wraps.
 
-    It is empty if none of these classes is yours.  It does not notice changes of imported code.
+    Only your own classes count; without any, the result is empty.  Imported code is ignored.
     """
     kinds = [type(thing)]
     while isinstance(thing, gym.Wrapper | InterfacedEnv):
@@ -394,7 +394,7 @@ def code_of(thing: Any) -> str:
 
 
 def as_json(arguments: Mapping[str, Any]) -> Any:
-    """Return arguments as JSON has them.
+    """Return arguments as plain values that JSON can hold.
 
     A task or a perturbation becomes its fields, the name of its class and, if it is your own, a
     digest of its code: changed code is another scenario.

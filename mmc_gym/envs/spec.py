@@ -1,6 +1,6 @@
-"""The setup of a reaching environment: what follows from its arguments.
+"""The setup of a reaching environment: everything that is derived from its arguments.
 
-The single and the vector environment share it, and nothing in it changes while they run.
+The single and the vector environment both use it.  It does not change while they run.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_
 
 _MOST_TRIALS = 300
 _AT_LAST = 10**9  # control steps, after which nothing grows any more
-_TRIED = 10  # trials of your own task, when the environment is made
+_TRIED = 10  # trials drawn of a user's own task when the environment is made
 
 
 class Options(NamedTuple):
@@ -64,7 +64,7 @@ class Options(NamedTuple):
     joint_angles: list[float] | None = None
     target: Point | None = None
     trial: int | None = None
-    context: dict[str, NDArray[np.float64]] | None = None  #: drawn numbers, or (n,) of n arms
+    context: dict[str, NDArray[np.float64]] | None = None  #: drawn numbers by name, (n,) for n arms
 
     @property
     def has_trial(self) -> bool:
@@ -82,52 +82,52 @@ class RewardSettings(NamedTuple):
 
 
 class Disturbance(NamedTuple):
-    """What disturbs the senses at a time; numbers in it may be arrays (n,) of n arms."""
+    """The disturbance of the senses at one time; numbers may be arrays (n,) for n arms."""
 
-    cursor: Cursor | None  #: that stands for the hand
-    noises: list[Noise]  #: of senses
+    cursor: Cursor | None  #: stands for the hand
+    noises: list[Noise]  #: noise of the senses
     delay: Any  #: of all senses, control steps
     vision_delay: Any  #: of sight, besides `delay`, control steps
-    feedback: list[Feedback]  #: when the hand is seen
+    feedback: list[Feedback]  #: say when the hand is seen
 
 
 class Episodes(NamedTuple):
-    """What k arms have drawn: numbers in it may be arrays (k,)."""
+    """The drawn episodes of k arms; numbers may be arrays (k,)."""
 
-    body: ArmColumns | None  #: None if arms do not differ
+    body: ArmColumns | None  #: the arms; None if no body is drawn
     ring: tuple[Any, Any]  #: smallest and largest distance of targets from the base
-    parts: list[Perturbation]  #: that disturb the senses, as of `ReachSetup`
-    cursor: Cursor | None  #: in the end
-    lock_steps: Any  #: control steps after which joints lock, or -1
+    parts: list[Perturbation]  #: those that disturb the senses, as in `ReachSetup`
+    cursor: Cursor | None  #: at full strength
+    lock_steps: Any  #: control steps after which joints lock; -1: never
     locked: NDArray[np.bool_] | None  #: joints that are locked from the start, (k, N), if any
 
 
 class State(NamedTuple):
-    """Arrays of n arms: what a compiled step reads, and from `speeds` on what it writes."""
+    """Arrays of n arms: a compiled step reads them, and overwrites `speeds` and `observation`."""
 
-    hands: NDArray[np.float64]  #: where the hands are, or their cursors, (n, 2)
+    hands: NDArray[np.float64]  #: positions of the hands, or of their cursors, (n, 2)
     targets: NDArray[np.float64]  #: (n, 2)
     may_succeed: NDArray[np.bool_]  #: whether the target is the last one, (n,)
-    speeds: NDArray[np.float64]  #: of the joints, shares of the limit, a step earlier, (n, N)
+    speeds: NDArray[np.float64]  #: of joints, fractions of the limit, a step earlier, (n, N)
     observation: Any  #: without noise; that of a goal environment is a mapping
 
 
 class ReachSetup:
-    """What follows from the arguments of a reaching environment."""
+    """The setup that is derived from the arguments of a reaching environment."""
 
     observation_space: spaces.Space[Any]
     perturbations: tuple[Perturbation, ...]
     body: ArmParameters  #: the simulated arm, with all perturbations
-    given_body: ArmParameters  #: with those that are `known`
-    parts: list[Perturbation]  #: that disturb the senses; cursors with their centres
-    delay: int  #: of all senses, control steps, at last
-    vision_delay: int  #: of sight, besides `delay`, control steps, at last
+    given_body: ArmParameters  #: the arm with those perturbations that are `known`
+    parts: list[Perturbation]  #: those that disturb the senses; cursors have centres
+    delay: int  #: of all senses, control steps, at full strength
+    vision_delay: int  #: of sight, besides `delay`, control steps, at full strength
     workspace: Workspace  #: where hand and target can be
-    is_sight_disturbed: bool  #: whether what is shown is not what is true, or was before
+    is_sight_disturbed: bool  #: by noise, a delay of vision, or a hand that is hidden
     farthest: float  #: distance from the base that the hand, or its cursor, never exceeds
 
     def __init__(self, arguments: ReachArguments) -> None:
-        """Check what the arguments are together; raise a `UserError` if they do not fit."""
+        """Derive the setup; raise a `UserError` if the arguments do not fit together."""
         self.control, self.engine = arguments.control, arguments.engine
         self.success_distance = arguments.success_distance
         self.arms_differ = False  #: whether bodies are drawn
@@ -145,7 +145,7 @@ class ReachSetup:
         #: what is drawn for each episode, or None
         self.draws = Draws(changes) if any(one.is_drawn for one in changes) else None
         self._changes, shown = changes, arguments.observe_context
-        #: on whose scale the context is observed, or None
+        #: the draws on whose scale the context is observed, or None
         self.scale = self.draws if shown is True else Draws(_changes(shown)) if shown else None
         if self.scale is not None:
             accepted = "True, or perturbations from ranges, such as 'rotation--60..60'"
@@ -161,7 +161,7 @@ class ReachSetup:
             self._perturb([*map(Change, self.draws.perturbations(self.draws.samples()[0]))])
         self._check_loads(changes)
         channels = [one.curl for one in self.perturbations if isinstance(one, Channel)]
-        self.channel = sum(channels) if channels else None  #: curl that it is made for, or None
+        self.channel = sum(channels) if channels else None  #: curl of its ideal force, or None
         if channels:
             accepted = "without a channel if any of them is drawn"
             require(self.draws is None, "perturbations", self.perturbations, accepted)
@@ -170,9 +170,9 @@ class ReachSetup:
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
         rows = np.zeros((1, 0)) if self.draws is None else self.draws.samples()
-        #: of each number of the context that is shown behind an observation
+        #: largest absolute value, at least 1, of each number of the observed context
         self.context_limits = np.abs(self.context_of(rows)).max(axis=0, initial=1.0)
-        #: of the observations; its `reach` is the sum of the given lengths
+        #: order of the observed numbers; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(
             self.joint_count,
             self.reach,
@@ -190,7 +190,7 @@ class ReachSetup:
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")
         self.path_length = 0  #: number of places on the path of the target
-        for seed in range(_TRIED if self._is_own_task else 1):  # rather than later, in an episode
+        for seed in range(_TRIED if self._is_own_task else 1):  # find errors now
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
         if self.draws is not None:
             self._try_draws(self.draws)
@@ -205,7 +205,7 @@ class ReachSetup:
         self._change_arm(changes, is_checked)
         timed = [one for one in self.perturbations if isinstance(one, Timed)]
         plain = Perturbation.change_body
-        #: those that change the arm within an episode
+        #: timed perturbations that change the arm within an episode
         self.loads = [one for one in timed if type(one.perturbation).change_body is not plain]
         self._disturb_senses(changes, timed)
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
@@ -215,14 +215,14 @@ class ReachSetup:
         self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
     def episode(self, numbers: NDArray[np.float64], is_checked: bool = False) -> ReachSetup:
-        """Return the setup of an episode that has drawn these numbers, (m,)."""
+        """Return the setup of an episode that drew `numbers`, (m,); check the arm if asked."""
         assert self.draws is not None
         one = copy(self)
         one._perturb([*map(Change, self.draws.perturbations(numbers))], is_checked)
         return one
 
     def context_of(self, numbers: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return what observations of k arms that have drawn these numbers, (k, m), have behind."""
+        """Return the context, (k, c), that k arms observe if they have drawn `numbers`, (k, m)."""
         if self.scale is None:
             return np.zeros((len(numbers), 0), np.float32)
         if self.draws is None:
@@ -233,7 +233,7 @@ class ReachSetup:
         return np.stack([self.scale.shown_of([*one]) for one in drawn])
 
     def _try_draws(self, draws: Draws) -> None:
-        """Make room for all draws; raise a `UserError` if one of them is impossible."""
+        """Set limits that hold for all draws; raise a `UserError` if a draw is impossible."""
         samples = draws.samples()
         every = []
         for numbers in samples:
@@ -267,7 +267,7 @@ class ReachSetup:
         samples = samples[are_many]
         are_rings = all(one.workspace.is_ring for one in every)
         self.draws_pairs = type(self.task) is RandomTarget and are_rings and bool(every)
-        if self.draws_pairs:  # all arms at once, if arrays give what numbers do
+        if self.draws_pairs:  # all arms at once, if arrays give the same as single numbers
             try:
                 many = self.episodes(samples)
                 rows = ArmColumns.of(many.body or self.body).rows(len(every))
@@ -281,7 +281,7 @@ class ReachSetup:
                 self.draws_pairs = False
 
     def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
-        """Return what k arms have drawn, from (k, m) numbers, as arrays."""
+        """Return the episodes of k arms that have drawn `numbers`, (k, m)."""
         body: ArmColumns | None = None
         ring, senses, cursor = self.ring, self.parts, self.cursor
         lock_steps: Any = self.lock_steps
@@ -301,13 +301,13 @@ class ReachSetup:
         return Episodes(body, ring, senses, cursor, lock_steps, locked if locked.any() else None)
 
     def _disturb_senses(self, changes: Sequence[Change], timed: Sequence[Timed]) -> None:
-        """Find out what disturbs the senses with all perturbations at their full strength."""
+        """Set what disturbs the senses once all perturbations have their full strength."""
         self.parts = [self._placed(one) for one in senses_of(self.perturbations)]
         step = self.control_step
         self.is_timed = bool(timed)  #: whether perturbations begin or grow within an episode
-        #: control steps of an episode between which no timed one changes much, in order
+        #: sorted control steps between which no timed perturbation changes much
         self.moments: Any = np.unique([n for one in timed for n in one.moments(step)] or [0])
-        self.full = self.disturbance(int(self.moments[-1]))  #: in the end
+        self.full = self.disturbance(int(self.moments[-1]))  #: at full strength
         self.cursor, self.noises = self.full.cursor, self.full.noises
         self.delay, self.vision_delay = self.full.delay, self.full.vision_delay
         self.are_senses_disturbed = bool(self.noises or self.delay)
@@ -322,7 +322,7 @@ class ReachSetup:
                 )
 
     def _check_loads(self, changes: Sequence[Change]) -> None:
-        """Refuse what cannot change the arm within an episode."""
+        """Raise a `UserError` if more than hand mass and force field change within an episode."""
         every = [one.moments(self.control_step) for one in self.loads]
         # Between these control steps loads and fields change evenly: they are largest at the ends.
         corners = {moments[place] for moments in every for place in (0, 1, -1)}
@@ -335,22 +335,22 @@ class ReachSetup:
             make_arm(self.engine, self.others[-1])
 
     def body_after(self, steps: Any) -> ArmColumns:
-        """Return the arm after so many control steps, or n arms after (n,) of them."""
+        """Return the arm after `steps` control steps, or n arms if `steps` is (n,)."""
         body = ArmColumns.of(self.unperturbed)
         for one in timed_parts(self.perturbations, steps, self.control_step):
             body = one.change_body(body)  # type: ignore[assignment]
         return body
 
     def is_loaded_after(self, steps: Any) -> Any:
-        """Tell whether the arm is another after so many control steps than a step before, (...)."""
+        """Return whether a load or field changed in the last of `steps` control steps, (...)."""
         step = self.control_step
         changed = [one.share(steps, step) != one.share(steps - 1, step) for one in self.loads]
         return np.any(changed, axis=0)
 
     def disturbance(self, steps: Any, of: Sequence[Perturbation] | None = None) -> Disturbance:
-        """Return what disturbs the senses after so many control steps: a number, or (n,).
+        """Return the disturbance of the senses after `steps` control steps, a number or (n,).
 
-        It follows from the perturbations `of` n arms, or else from those of the setup.
+        `of` are the perturbations that cause it, by default those of the setup.
         """
         parts = timed_parts(self.parts if of is None else of, steps, self.control_step)
 
@@ -366,7 +366,7 @@ class ReachSetup:
         return Disturbance(cursor, noises, delay(SensoryDelay), delay(VisionDelay), feedback)
 
     def _placed(self, one: Perturbation) -> Perturbation:
-        """Return a perturbation; a cursor with its centre."""
+        """Return the perturbation; a cursor without a centre gets the task's start, or the base."""
         if isinstance(one, Timed):
             return replace(one, perturbation=self._placed(one.perturbation))
         if not isinstance(one, Cursor) or one.centre is not None:
@@ -377,18 +377,18 @@ class ReachSetup:
         return placed
 
     def _in_steps(self, seconds: Any) -> Any:
-        """Return the control steps after which something happens at a time, or at several."""
+        """Return a time, or an array of times, in s as the nearest whole control steps."""
         return np.rint(np.divide(seconds, self.control_step)).astype(int)
 
     def _drawn_body(self, parts: Sequence[Perturbation]) -> ArmColumns:
-        """Return the arm under perturbations as they may be drawn, which were checked before."""
+        """Return the arm under drawn perturbations, without the checks that draws have passed."""
         arm: ArmParameters = ArmColumns.of(self.unperturbed)
         for one in parts:
             arm = one.change_body(arm)
         return ArmColumns.of(arm)
 
     def _change_arm(self, changes: Sequence[Change], is_checked: bool) -> None:
-        """Apply the perturbations to the arm, and find when joints lock."""
+        """Apply the perturbations to the arm, and set when joints lock."""
         if is_checked:
             self.body = self.given_body = self.unperturbed
             for one in changes:
@@ -406,12 +406,12 @@ class ReachSetup:
 
     @property
     def ring(self) -> tuple[Any, Any]:
-        """Smallest and largest distance of targets from the base."""
+        """Smallest and largest distance of targets from the base, segment lengths."""
         return self.workspace.inner, self.workspace.outer
 
     @property
     def lock_steps(self) -> int:
-        """Control steps after which joints lock, or -1."""
+        """Control steps after which joints lock; -1 if none does."""
         return -1 if self.lock_step is None else self.lock_step
 
     def observe(
@@ -423,7 +423,7 @@ class ReachSetup:
     ) -> NDArray[np.float32]:
         """Return observations of n arms, (n, …), with noise from the generator of each.
 
-        `look` returns which hands are seen, if they are hidden at times, (n, 2).
+        If hands are hidden at times, `look` maps their positions, (n, 2), to those last seen.
         """
         for noise in noises:
             chosen = np.broadcast_to(noise.is_heard, len(randoms))
@@ -492,10 +492,10 @@ class ReachSetup:
         return Trial(posture, [(x, y) for x, y in path])
 
     def check_options(self, options: dict[str, Any] | None) -> Options:
-        """Return the options of a reset; refuse unknown ones, and what cannot be.
+        """Return the options of a reset, checked; raise a `UserError` if one cannot be accepted.
 
-        Joint limits, reach, obstacles, and locked joints that leave no target in reach are
-        respected.
+        Options must be known and respect joint limits, reach and obstacles, and locked joints must
+        leave a target in reach.
         """
         options = {} if options is None else options
         accepted = "a mapping with 'joint_angles', 'target', 'trial' or 'context'"
@@ -577,7 +577,7 @@ def _changes(perturbations: Any) -> list[Change]:
 
 
 def _changed(change: Change, body: ArmParameters) -> ArmParameters:
-    """Return the arm under a perturbation; an error names it."""
+    """Return the arm under a perturbation; an error message names the perturbation."""
     try:
         changed = change.perturbation.change_body(body)
     except UserError as error:
@@ -589,7 +589,7 @@ def _changed(change: Change, body: ArmParameters) -> ArmParameters:
 
 
 class GoalSetup(ReachSetup):
-    """What follows from the arguments of a goal environment."""
+    """The setup that is derived from the arguments of a goal environment."""
 
     def __init__(self, arguments: ReachArguments) -> None:
         super().__init__(arguments)
@@ -612,9 +612,9 @@ class ReachEnvironment:
     setup: ReachSetup
     _arguments: Any
     _kind: type[ReachSetup]
-    _of_all: ReachSetup  # of all episodes from the next on; `setup` is that of this one
-    _draws: Draws | None  # as of the episode
-    _numbers: NDArray[np.float64]  # that were drawn for it
+    _of_all: ReachSetup  # from the next episode on; `setup` is that of the present one
+    _draws: Draws | None  # of the present episode
+    _numbers: NDArray[np.float64]  # drawn for the present episode
     _spec: EnvSpec | None = None
 
     parameters = property(attrgetter("setup.given_body"), doc="The arm that agents are given.")
@@ -623,7 +623,7 @@ class ReachEnvironment:
     control = property(attrgetter("setup.control"), doc="The control mode.")
     reach = property(attrgetter("setup.reach"), doc="Sum of the given segment lengths.")
     context_size = property(
-        attrgetter("setup.layout.context_size"), doc="How many numbers of it are observed."
+        attrgetter("setup.layout.context_size"), doc="Number of observed context values."
     )
     success_distance = property(
         attrgetter("setup.success_distance"),
@@ -631,7 +631,7 @@ class ReachEnvironment:
     )
 
     def _with_perturbations(self, perturbations: Any) -> tuple[Any, ReachSetup]:
-        """Return arguments and setup with other perturbations; the spaces must be the same."""
+        """Return arguments and setup with other perturbations, which must keep the spaces."""
         arguments = replace(self._arguments, perturbations=perturbations)
         setup = self._kind(arguments)
         same = setup.observation_space == self._of_all.observation_space
@@ -643,7 +643,7 @@ class ReachEnvironment:
 
     @property
     def context(self) -> dict[str, Any]:
-        """What was drawn for the episode, by name: numbers, or arrays (n,) of n arms."""
+        """The values drawn for the episode, by name: numbers, or arrays (n,) for n arms."""
         return self._draws.context(self._numbers) if self._draws else {}
 
     @property

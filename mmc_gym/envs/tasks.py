@@ -41,7 +41,7 @@ class Trial(NamedTuple):
 
 
 class Request(NamedTuple):
-    """The request for a trial."""
+    """The arguments with which a task draws a trial."""
 
     workspace: Workspace  #: of the arm
     random: np.random.Generator  #: the generator to draw from
@@ -51,7 +51,7 @@ class Request(NamedTuple):
     def draw_posture(self) -> list[float]:
         """Return the posture to start from.
 
-        One is drawn even if one is given, so that later draws do not depend on that.
+        A posture is drawn even if `joint_angles` is given, so that later draws are the same.
         """
         drawn = self.workspace.draw_posture(self.random)
         return self.joint_angles or drawn
@@ -73,7 +73,7 @@ class Task(ABC):
 
     @property
     def start(self) -> Point | None:
-        """Start of all movements, (x, y) / reach; None if they start in several places."""
+        """Start of all movements, (x, y) as fractions of the reach; None if starts differ."""
         return None
 
     @property
@@ -85,7 +85,7 @@ class Task(ABC):
         """Raise a `UserError` if the arm cannot do the task."""
 
     def check_hooks(self) -> None:
-        """Raise a `UserError` if the class seems to misspell `draw`, and changes nothing."""
+        """Raise a `UserError` if the class seems to misspell `draw`, and overrides no method."""
         own = vars(type(self))
         found = nearest("draw", [name for name, one in own.items() if callable(one)])
         hooks = {"start", "trial_count", "check", "draw"}
@@ -131,9 +131,9 @@ class DoubleStep(RandomTarget):
 
 @frozen
 class ViaPoints(RandomTarget):
-    """Random targets one after the other: the next appears when the last has been reached.
+    """Random targets one after the other: each appears when the one before has been reached.
 
-    Success is to be at the last of them.
+    Success means being at the last target.
     """
 
     advance: ClassVar[Literal["time", "reach"]] = "reach"
@@ -155,7 +155,7 @@ class PointToPoint(Task):
     """From one of a list of points to another, starting at rest in the evenly bent posture."""
 
     points: tuple[Point, ...]  #: (x, y) as fractions of the arm's reach
-    #: indices of start and target among the points, one pair a trial
+    #: (start, target) of each trial, as indices of `points`
     pairs: tuple[tuple[int, int], ...]
 
     def __post_init__(self) -> None:
@@ -197,7 +197,7 @@ class PointToPoint(Task):
                 )
 
     def _ends(self, workspace: Workspace, trial: int) -> list[Point]:
-        """Return where the hand starts in a trial, and the target."""
+        """Return start and target of a trial, each (x, y) in segment lengths."""
         ends, reach = (self.points[index] for index in self.pairs[trial]), workspace.outer
         return [(x * reach, y * reach) for x, y in ends]
 
@@ -206,7 +206,7 @@ class PointToPoint(Task):
 class CuedTarget(PointToPoint):
     """The target waits at the start until a go cue, and may jump across the way in flight.
 
-    All movements have one start.  For the jump see Saunders & Knill (2005), Exp. Brain Res.
+    All movements have the same start.  For the jump see Saunders & Knill (2005), Exp. Brain Res.
     162:458.
     """
 
@@ -283,9 +283,9 @@ class Pursuit(Task):
 
 
 def outward(distances: Sequence[float], turns: Sequence[float]) -> tuple[Any, Any]:
-    """Return points and pairs of movements from half a reach in front of the base, in all turns.
+    """Return `points` and `pairs` of movements outward from half a reach in front of the base.
 
-    Their `distances` from there are fractions of the reach, the turns radians.
+    There is one for each distance, as a fraction of the reach, and each direction, in radians.
     """
     circles = [
         (distance * math.cos(turn), 0.5 + distance * math.sin(turn))

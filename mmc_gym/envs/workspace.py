@@ -37,7 +37,7 @@ class ShownHand(Protocol):
 
     @property
     def keeps_distance(self) -> bool:
-        """Whether it is as far from the centre as the hand."""
+        """Whether the cursor is as far from the centre as the hand."""
 
     def cursor(self, x: Any, y: Any, target: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return where the cursor is for a hand at (x, y)."""
@@ -66,12 +66,12 @@ class Workspace:
     ) -> None:
         """Make the workspace of `body`, in which the joints `locked` (indices) never move.
 
-        Targets are reached by `given_body`, too: the arm that agents are given, by default the
-        same.  With a `cursor`, that one must reach a target in place of the hand; if it changes
-        within an episode, `at_all_times`, whose numbers are arrays over times.
+        Targets are also in reach of `given_body`, the arm that agents are given (by default
+        `body`).  A `cursor` must reach targets in place of the hand.  If the cursor changes within
+        an episode, `at_all_times` is that cursor, with arrays over times as its numbers.
 
         Raises:
-            UserError: if there is nothing that both can reach.
+            UserError: if no point is in reach of both arms.
         """
         self.body, self.given_body = body, given_body or body
         self.locked, self.cursor, self._at_all_times = tuple(locked), cursor, at_all_times
@@ -83,7 +83,7 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
-        """Tell whether the hand, and with a cursor both, can be at `point` (x, y).
+        """Return whether the hand, or the cursor in its place, can be at `point` (x, y).
 
         Joint limits are left aside.  Locked joints keep their angles in `posture`, N joint angles;
         None ignores locks.
@@ -96,7 +96,7 @@ class Workspace:
         return self._can_be((x, y), hand, posture)
 
     def _can_be(self, point: Point, hand: Point, posture: Sequence[float] | None) -> bool:
-        """Return whether the hand can be at `hand`, which shows a cursor at `point`.
+        """Return whether the hand can be at `hand`, and the cursor that shows it at `point`.
 
         Both must be within reach and clear of obstacles.  With a posture, the hand must be within
         reach of the joints that turn, while the locked ones keep their angles.
@@ -133,8 +133,8 @@ class Workspace:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
         Targets are area-uniform over the reachable set; with joint limits, up to the size of a grid
-        cell.  With locked joints and joint limits they are hands of uniform postures.  `NoTarget`
-        is raised if none is found.
+        cell.  With locked joints and joint limits, they are where the hand is in random postures,
+        uniform in the free angles.  `NoTarget` is raised if none is found.
         """
         for _ in range(MOST_TARGETS):
             target = hand = self._draw_hand(random, posture)
@@ -181,7 +181,7 @@ class Workspace:
         return base[0] + x, base[1] + y
 
     def is_clear(self, posture: Sequence[float]) -> bool:
-        """Tell whether the arm in this posture (N joint angles) touches no obstacle."""
+        """Return whether the arm in this posture (N joint angles) is clear of all obstacles."""
         if not self.body.obstacles:
             return True
         rods = list(pairwise(complex(x, y) for x, y in self._nodes(posture)))
@@ -198,7 +198,7 @@ class Workspace:
         All joints but the first have the same angle, 0 (stretched) or more, counter-clockwise.
 
         Raises:
-            UserError: if there is none, or none within the joint limits.
+            UserError: if there is no such posture, or none within the joint limits.
         """
         lengths = self.body.segment_lengths
         bend = _even_bend(lengths, math.hypot(*point))
@@ -238,11 +238,11 @@ def uniform_numbers(randoms: Sequence[np.random.Generator], count: int) -> NDArr
 def places_from(
     uniform: Floats, ring: tuple[Any, Any], lengths: Floats, locked: NDArray[np.bool_] | None
 ) -> tuple[Floats, Floats]:
-    """Return postures, (k, N), of uniform numbers (k, N), and where the hands can be then.
+    """Return postures, (k, N), from uniform numbers, (k, N), and places of the hands, (k, 6).
 
-    That is between two radii about a place, and between the two of the ring about the base: x, y
-    and the radii, (k, 6).  Radii of the ring are numbers or (k,), `lengths` of segments (N,) or
-    (k, N), and joints that are `locked` from the start (k, N); None if there are none.
+    A place is a centre (x, y), two radii about it between which the hand can be, and the two radii
+    of the ring about the base.  `ring` has numbers or (k,), `lengths` of segments are (N,) or
+    (k, N), and `locked` marks joints locked from the start, (k, N); None if there are none.
     """
     postures = -math.pi + math.tau * uniform
     places = np.zeros((len(postures), 6))
@@ -258,9 +258,9 @@ def places_from(
 def targets_from(
     uniform: Floats, places: Floats, cursor: ShownHand | None
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return targets, (k, 2), of uniform numbers (k, 2), and which of them can be reached, (k,).
+    """Return targets, (k, 2), from uniform numbers, (k, 2), and whether each is in reach, (k,).
 
-    Hands are area-uniform in their `places`, see `places_from`; with a cursor, targets are there.
+    Hands are area-uniform in `places`, see `places_from`; targets are at the hands or cursors.
     """
     base, inner, outer = places[:, :2].T, places[:, 4], places[:, 5]
     hands: Any = base + _points_from(uniform, places[:, 2], places[:, 3])
@@ -278,13 +278,13 @@ def targets_from(
 
 
 def _pieces_of(nodes: Sequence[Any], locked: Sequence[int]) -> tuple[Any, list[float]]:
-    """Return the first free joint, and the lengths of the rigid pieces beyond it."""
+    """Return the place of the first free joint, and the lengths of the rigid pieces beyond it."""
     ends = [node for joint, node in enumerate(nodes) if joint not in locked]
     return ends[0], [math.dist(start, end) for start, end in pairwise(ends)]
 
 
 def _points_from(uniform: Floats, inner: Any, outer: Any) -> tuple[Floats, Floats]:
-    """Return points between radii, x and y (k,), of uniform numbers (k, 2)."""
+    """Return area-uniform points between two radii, x and y (k,), from uniform numbers (k, 2)."""
     inner_square = inner * inner
     radii = np.sqrt(inner_square + (outer * outer - inner_square) * uniform[:, 0])
     angles = (-math.pi + math.tau * uniform[:, 1]).tolist()
@@ -293,7 +293,7 @@ def _points_from(uniform: Floats, inner: Any, outer: Any) -> tuple[Floats, Float
 
 
 def rings(lengths: Sequence[Any], given: Sequence[float]) -> tuple[Any, Any]:
-    """Return `shared_ring` of arms with other lengths, each a number or (k,), and the given arm."""
+    """Return `shared_ring` of arms of `lengths`, numbers or (k,), and of one of `given` lengths."""
     reach, longest = reduce(add, lengths), reduce(np.maximum, lengths)
     inner, outer = reachable_radii(given)
     return np.maximum(np.maximum(0.0, 2 * longest - reach), inner), np.minimum(reach, outer)
@@ -318,7 +318,7 @@ def reachable_hands(
 ) -> list[Floats]:
     """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
-    To draw a cell, then a position from it, is area-uniform up to the size of a cell.
+    Drawing a cell, and then a position from it, is area-uniform up to the size of a cell.
     """
     random = np.random.default_rng(0)
     low, high = np.array(joint_limits).T

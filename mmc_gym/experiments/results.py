@@ -1,7 +1,7 @@
 """The result of an experiment: its table of measures, with intervals over subjects, and its figure.
 
-Intervals resample subjects with the bootstrap of `mmc_gym.benchmark.statistics`: a curve is the
-mean over the drawn subjects, and a measure is one of that curve.
+Intervals bootstrap subjects, see `mmc_gym.benchmark.statistics`: each resample averages the drawn
+subjects into one curve, and the measures are computed from that curve.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from mmc_gym.experiments.experiment import MARKS, Experiment
 from mmc_gym.measures.catalogue import PEOPLE, people, span
 
 RESAMPLES = 500
-CYCLE = 4  # trials to a point of the figure
+CYCLE = 4  # trials averaged into one point of the figure
 MARKERS = "osD^vP"
 _RUN = ["agent", "run", "subject"]
-_LEGEND_WIDTH = 44  # letters in a line of the legend
-_OFF = ("inf", "0")  # of width, largest error and noise, as by default
+_LEGEND_WIDTH = 44  # characters in a line of the legend
+_OFF = ("inf", "0")  # defaults of width, largest error and noise, which are not shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,19 +58,19 @@ class ExperimentResult:
     experiment: Experiment
     #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
     #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (see
-    #: `PlannedTrial`), probe (empty for usual trials), aim (instructed, degrees from the target: an
-    #: angle less it is implicit), target_angle (degrees), start_x, start_y (of the hand), go_step
-    #: (control step of the go cue), channel_force (in a `Channel`, as a share of the ideal one:
-    #: slope of the regression through the origin over the trial); how the agent went through: rate,
-    #: retention and the other `LEARNED` of the subject (several states after commas; empty
-    #: without), keeps_all, noise, seed, version (of mmc-gym) and run (a digest of all settings);
-    #: and the movement, see `describe_movements`
+    #: `PlannedTrial`), probe (empty for usual trials), aim (instructed, degrees from the target;
+    #: hand angle less aim is implicit), target_angle (degrees), start_x, start_y (of the hand),
+    #: go_step (control step of the go cue), channel_force (in a `Channel`: the force as a share of
+    #: the ideal force, by regression through the origin over the trial); the settings: rate,
+    #: retention and the other `LEARNED` of the subject (states separated by commas; empty if it has
+    #: none), keeps_all, noise, seed, version (of mmc-gym) and run (a digest of all settings); and
+    #: the movement, see `describe_movements`
     trials: pd.DataFrame
     hands: NDArray[np.float32]  #: positions in segment lengths, (rows, steps + 1, 2)
-    cursors: NDArray[np.float32]  #: likewise, of the cursor; the hand's where there is none
-    targets: NDArray[np.float32]  #: likewise, of the target
+    cursors: NDArray[np.float32]  #: the same of the cursor; of the hand where there is no cursor
+    targets: NDArray[np.float32]  #: the same of the target
     control_step: float  #: s
-    people: pd.DataFrame | None = None  #: your own data for the figure, see `check_people`
+    people: pd.DataFrame | None = None  #: your own human data for the figure, see `check_people`
 
     @cached_property
     def measures(self) -> pd.DataFrame:
@@ -79,7 +79,7 @@ class ExperimentResult:
 
     @property
     def settings(self) -> dict[str, str]:
-        """What each agent learns with, if it does, and which keep all, in words."""
+        """The settings of each agent's learning and noise, in words; empty if it has none."""
         found = {}
         for agent, own in self.trials.groupby("agent", sort=False):
             each = {name: own[name].unique().tolist() for name in LEARNED if "spread" not in name}
@@ -106,7 +106,7 @@ class ExperimentResult:
         )
 
     def plot(self, figure: Figure | None = None) -> Figure:
-        """Return a figure, a new one if None is given, see `learning_figure`."""
+        """Draw the `learning_figure` into `figure`, a new one if None, and return it."""
         return learning_figure(self, figure=figure)
 
     def print(self, console: Console | None = None) -> None:
@@ -114,9 +114,9 @@ class ExperimentResult:
         print_learning(self.measures, console)
 
     def write(self, out: Path | str) -> list[Path]:
-        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`.
+        """Write NAME.trials.csv, NAME.measures.csv and the figure into `out`; return their paths.
 
-        Instead of overwriting trials that are not its own, it writes NAME.2.trials.csv and so on.
+        If NAME.trials.csv holds trials of another run, write NAME.2.trials.csv and so on instead.
         """
         own = {*self.trials[_RUN].astype(str).itertuples(index=False, name=None)}
         first = str(Path(out) / self.experiment.name)
@@ -134,18 +134,18 @@ class ExperimentResult:
 
 
 def _runs_in(path: Path) -> set[tuple[str, ...]]:
-    """Return agent, run and subject of the trials in a CSV file; none without one."""
+    """Return each (agent, run, subject) in a CSV file of trials; empty if the file is missing."""
     if not path.exists():
         return set()
     try:
         found = pd.read_csv(path, usecols=_RUN, dtype=str, keep_default_na=False)[_RUN]
-    except ValueError:  # of something else
+    except ValueError:  # not a file of trials: equal to no run
         return {(str(path),)}
     return {*found.itertuples(index=False, name=None)}
 
 
 def _span(values: Sequence[str]) -> str:
-    """Return one setting of all subjects, or between which they differ."""
+    """Return the setting that all subjects share, or the least and greatest: "0.1 to 0.3"."""
     first = sorted(values, key=lambda text: float(text.split(",")[0]))
     if len(first) == 1:
         return first[0]
@@ -154,11 +154,11 @@ def _span(values: Sequence[str]) -> str:
 
 
 def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.DataFrame:
-    """Return a row for each agent and each measure that some agent has a value of.
+    """Return a table with a row for each agent and each measure that any agent has a value of.
 
     Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
-    missing, source and settings (see `ExperimentResult.settings`).  Rows of the agent "people" have
-    the published figures, see `with_people`.
+    missing, source and settings (see `ExperimentResult.settings`).  Rows of the agent "people" hold
+    published figures, see `with_people`.
     """
     rows = []
     for agent in result.trials["agent"].unique():
@@ -181,7 +181,7 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
 
 
 def _resampled(of: Learning, resamples: int) -> Learning:
-    """Return the mean over subjects, then that of each resample, see `resampled_means`."""
+    """Replace subjects by the mean over them, then the mean of each resample: R + 1 rows."""
     adaptation, errors = (resampled_means(one, resamples) for one in (of.adaptation, of.errors))
     jumps = of.corrections
     if jumps:
@@ -190,10 +190,10 @@ def _resampled(of: Learning, resamples: int) -> Learning:
 
 
 def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
-    """Return a table of agents with rows of people below, for measures that they have a figure of.
+    """Return `table` and, below, a row of people for each measure with a published figure.
 
-    `low` and `high` are the published range, equal for a single figure; one of them is NaN for a
-    bound.  `experiment` is the family of experiments; empty for single movements.
+    `low` and `high` are the published range, equal for a single figure; a bound has NaN at its
+    open end.  `experiment` is the family of experiments; empty for single movements.
     """
     cited, rows = people(experiment), []
     for facts in table.drop_duplicates("measure").to_dict("records"):
@@ -205,7 +205,7 @@ def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
 
 
 def settings_note(settings: Mapping[str, str]) -> str:
-    """Return a sentence for each agent with settings."""
+    """Return the settings as text, one sentence for each agent that has some."""
     return "".join(f" {agent}: {text}." for agent, text in settings.items() if text)
 
 
@@ -234,9 +234,9 @@ def _printed(row: Any) -> Cell:
 
 
 def check_people(table: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
-    """Return your table of people, to be drawn with agents, if it fits the experiment.
+    """Check a table of your own human data for the figure, and return it unchanged.
 
-    It has columns trial (in the experiment, from 0) and adaptation (in the unit of the figure),
+    It needs columns trial (in the experiment, from 0) and adaptation (in the unit of the figure),
     and a row for each trial, or for each subject and trial.  A `UserError` says what does not fit.
     """
     for name in ("trial", "adaptation"):
@@ -258,8 +258,9 @@ def learning_figure(
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
-    Probes are marks, but for error clamps; those in other directions and of jumps are left out.
-    Below are the measures in `table`, by default that of the result, that people have a figure of.
+    The curve includes error clamps and blocks without feedback; catch, channel and hidden probes
+    are markers elsewhere; other probes are left out.  The bottom row compares agents with people,
+    in the measures of `table` (by default `result.measures`) that have a published figure.
     """
     table = result.measures if table is None else table
     compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
@@ -285,7 +286,7 @@ def learning_figure(
 
 
 def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
-    """Draw the curves of all agents and of people, ends of blocks, and full compensation."""
+    """Draw the curves of agents, the data of people, block boundaries and full compensation."""
     for number, (agent, settings) in enumerate(result.settings.items()):
         learning = learning_of(result.movements_of(agent))
         lap, colour = divmod(number, len(COLOURS))  # in each lap, other lines go with colours
@@ -310,7 +311,7 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
 
 
 def _draw_curve(axes: Axes, learning: Learning, look: Any, resamples: int) -> None:
-    """Draw the mean adaptation of each cycle of trials over the middle of the cycle."""
+    """Draw the mean adaptation of each cycle of trials at its middle, and probes as markers."""
     in_curve = np.isin(learning.kinds, ("plain", "clamp"))
     alone = ~np.isin(learning.blocks, learning.blocks[in_curve])  # blocks without feedback
     in_curve |= alone & np.isin(learning.kinds, ("hidden", "channel"))

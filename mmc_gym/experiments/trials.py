@@ -2,14 +2,14 @@
 
     Experiment  ->  cells (an agent, some subjects)  ->  run_grid  ->  ExperimentResult
 
-What a trial holds depends on the experiment, the agent and the subject's own seed, not on how many
-subjects there are.  In a folder every cell is one file, written atomically: an interrupted run
-resumes, and subjects and agents can be added.
+A trial depends on the experiment, the agent and the subject's own seed, not on the number of
+subjects.  In a folder every cell is one file, written atomically: an interrupted run resumes, and
+subjects and agents can be added.
 
     trials/AGENT--EXPERIMENT.DIGEST.FIRST-LAST.parquet    the trials of some subjects
-    trials/AGENT--EXPERIMENT.DIGEST.json                  how many subjects there must be
+    trials/AGENT--EXPERIMENT.DIGEST.json                  a plan: the number of subjects
 
-The digest is that of all settings but the subjects, so no run overwrites one of other settings.
+DIGEST is a hash of all settings but the subjects: runs with other settings have other files.
 """
 
 from __future__ import annotations
@@ -52,21 +52,21 @@ from mmc_gym.measures.rollout import run_trial
 RECORDING = 6
 """Version of recordings; when it changes, all cells are played again."""
 
-_OF_PARTS = 1  # last number of the seed by which a subject's parts are drawn
-_SUBJECTS = 20  # in a cell, at most
-_TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
-_PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # of an `Episode`
+_OF_PARTS = 1  # last number of the seed that draws a subject's parts
+_SUBJECTS = 20  # most subjects in a cell
+_TOGETHER = 1_000  # most trials played at once, to bound memory
+_PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # in `Episode`
 _Cell: TypeAlias = tuple[pa.Table, Kept]
 
 
 class Player(NamedTuple):
-    """An agent that can act in an experiment, and what its environments follow from."""
+    """An agent that can act in an experiment, and the facts that its environments need."""
 
     agent: Any  #: an `Agent`, or your own object with `predict`
     control: str  #: its control mode
     control_step: float  #: s
-    tolerance: float  #: of success, segment lengths
-    has_parts: bool  #: whether it learns as `parts` say; yours stay as you made them
+    tolerance: float  #: distance from the target that counts as success, segment lengths
+    has_parts: bool  #: whether `parts` set how it learns; False for agents of your own
     takes_batches: bool  #: whether it plays many trials at once: an `Agent` without a wrapper
 
 
@@ -84,12 +84,12 @@ class TrialsCell:
 
     @property
     def stem(self) -> str:
-        """First part of the names of its files, another one for other settings."""
+        """Start of the names of its files, AGENT--EXPERIMENT.DIGEST."""
         return _stem(self.agent.label, self.settings)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything that its result is known to depend on, ready for JSON."""
+        """All settings that the cell's result is known to depend on, as JSON types."""
         names = ("subjects", "seed", "keeps_all", "parts", "env_kwargs")
         settings = {
             "recording": RECORDING,
@@ -106,19 +106,19 @@ class TrialsCell:
 
     @property
     def learners(self) -> list[Parts]:
-        """The parts of each subject, whose rate and retention may differ."""
+        """The `Parts` of each subject: rate, retention and noise are drawn about `parts`."""
         parts = Parts(**self.parts)
         seeds = [(self.seed, subject, _OF_PARTS) for subject in self.subjects]
         return [parts.drawn(np.random.default_rng(seed)) for seed in seeds]
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of all its environments."""
+        """Keyword arguments of all environments of the cell."""
         limit = self.experiment.torque_limit
         return {**({} if limit is None else {"torque_limit": limit}), **self.env_kwargs}
 
     def player(self) -> Player:
-        """Make the agent; refuse one that cannot act."""
+        """Make the agent, and return it with its facts; raise an error if it cannot act."""
         has_parts, entry = False, self.agent.entry
         made, agent = make_player(self.agent, self.experiment.scenario(**self.arguments))
         with closing(made):
@@ -132,7 +132,7 @@ class TrialsCell:
         return Player(agent, control, arm.control_step, tolerance, has_parts, takes_batches)
 
     def environment(self, player: Player, condition: Condition, arms: int) -> Any:
-        """Make the environment of trials of a condition, with several arms for an `Agent`."""
+        """Make the environment for a condition; with `arms` arms if the agent takes batches."""
         steps = round(self.experiment.seconds / player.control_step)
         arguments = {**self.arguments, **self.agent.arguments, "max_episode_steps": steps}
         scenario = self.experiment.scenario(condition, **arguments)
@@ -152,13 +152,13 @@ def _file_name(stem: str, subjects: range) -> str:
 
 
 def _in_files(subjects: int) -> Iterator[range]:
-    """Return which subjects are in one file, and in one cell."""
+    """Yield the subjects of each cell, and so of each file."""
     for first in range(0, subjects, _SUBJECTS):
         yield range(first, min(first + _SUBJECTS, subjects))
 
 
 def _subjects_in(plan: Path) -> int:
-    """Return how many subjects a plan asks for, 0 without one."""
+    """Return the number of subjects in the file of a plan; 0 if the file is missing."""
     try:
         return require_whole("subjects", json.loads(plan.read_bytes())["subjects"])
     except FileNotFoundError:
@@ -168,7 +168,7 @@ def _subjects_in(plan: Path) -> int:
 
 
 class _Session:
-    """The subjects of a cell in their trials: seeds, targets, environments and recorded paths."""
+    """Play the trials of a cell; hold its seeds, targets, environments and recorded paths."""
 
     def __init__(self, cell: TrialsCell, player: Player) -> None:
         self.cell, self.schedule = cell, cell.experiment.schedule
@@ -181,7 +181,7 @@ class _Session:
         self.environment = lru_cache(maxsize=8)(partial(cell.environment, player))
 
     def play(self, agent: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
-        """Play trials (subject, trial) of one condition; return the agent's state at the end."""
+        """Play (subject, trial) pairs of one condition at once; return the agent's last state."""
         env = self.environment(self.schedule[pairs[0][1]].condition, len(pairs))
         directions = self.cell.experiment.directions
         turns = [(self.angles[of][at] + self.schedule[at].aim) % 360 for of, at in pairs]
@@ -192,7 +192,7 @@ class _Session:
         episodes, state = run_trial(agent, env, seeds, options, state)
         for pair, episode in zip(pairs, episodes, strict=True):
             self.channel_shares[pair] = episode.channel_share
-            if aim := self.schedule[pair[1]].aim:  # what it played for is the aim, not the target
+            if aim := self.schedule[pair[1]].aim:  # it reached for the aim; record the target
                 start, turn = episode.hands[0], math.radians(aim)
                 x, y = (episode.targets - start).T
                 to_target = turned_back(x, y, math.cos(turn), math.sin(turn))
@@ -205,7 +205,7 @@ class _Session:
         return state
 
     def play_in_turn(self, agent: Any, subjects: Iterable[int]) -> None:
-        """Play all trials of some subjects in their order, with what the agent keeps."""
+        """Play all trials of some subjects in order, with what the agent keeps between trials."""
         keep = getattr(agent, "between_trials", lambda state, rest: None)
         state, subjects = None, list(subjects)
         for one in self.schedule:
@@ -214,7 +214,7 @@ class _Session:
             state = self.play(agent, [(subject, one.trial) for subject in subjects], state)
 
     def play_by_condition(self, agent: Predictor) -> None:
-        """Play all trials of a condition at once, with an agent that keeps nothing."""
+        """Play the trials of each condition together, for an agent that keeps no state."""
         alike: dict[Condition, list[int]] = {}
         for one in self.schedule:
             alike.setdefault(one.condition, []).append(one.trial)
@@ -224,7 +224,10 @@ class _Session:
                 self.play(agent, pairs[first : first + _TOGETHER])
 
     def columns(self, control_step: float) -> dict[str, Any]:
-        """Return the columns of `ExperimentResult.trials`, and the paths."""
+        """Return the columns of a cell's file: paths, and those of `ExperimentResult.trials`.
+
+        The columns that `describe_movements` adds are not among them.
+        """
         table = pd.DataFrame(self.schedule)[["trial", "block", "phase", "strength", "probe", "aim"]]
         conditions = [one.condition for one in self.schedule]
         table["perturbation"] = ["+".join(c.name for c in one.perturbations) for one in conditions]
@@ -257,7 +260,7 @@ class _Session:
 
 
 def run_cell(cell: TrialsCell) -> bytes:
-    """Play a cell, and return its file."""
+    """Play a cell, and return the content of its Parquet file."""
     player = cell.player()
     session, subjects = _Session(cell, player), range(len(cell.subjects))
     if not player.takes_batches:
@@ -272,7 +275,7 @@ def run_cell(cell: TrialsCell) -> bytes:
 
 
 def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
-    """Yield cells without the parts that their agents lack; refuse what cannot be played."""
+    """Yield cells, without `parts` if the agent has none; raise if one cannot be played."""
     tried = set()
     for cell in cells:
         player, experiment = cell.player(), cell.experiment
@@ -288,9 +291,9 @@ def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
 
 
 def _lists(paths: NDArray[np.float32]) -> pa.Array:
-    """Return paths (subjects, trials, steps + 1, 2) as a column of lists."""
+    """Return paths, (subjects, trials, steps + 1, 2), as a column with a flat list per trial."""
     size = paths[0, 0].size
-    kind = pa.list_(pa.field("element", pa.float32()), size)  # as Parquet calls it
+    kind = pa.list_(pa.field("element", pa.float32()), size)  # Parquet's name for it
     return pa.FixedSizeListArray.from_arrays(pa.array(paths.ravel()), type=kind)
 
 
@@ -314,23 +317,24 @@ def run_experiment(
     """Let agents go through an experiment, each as several subjects.
 
     Args:
-        experiment: name, such as "rotation-30", YAML file, or experiment.
-        agents: as in `compare`; of a trained one, its training of seed 0.
+        experiment: a name such as "rotation-30", a YAML file, or an `Experiment`.
+        agents: as in `compare`; a trained agent takes part with its training of seed 0.
         subjects: number of subjects; each has an order of targets and noise of its own.
-        seed: that the subjects' seeds are derived from.
-        out: folder that keeps what was played; None keeps nothing.
-        rate: of `mmc-body` and `ik-body`: share of what a movement shows that is learned; several
-            for several states, as a fast and a slow one.  1 learns all within the movement.
-        retention: of these: share of a state that is left at the next trial.
-        learners: what differs from these for some agents, by label, as in
+        seed: root seed, from which the subjects' seeds are derived.
+        out: folder in which the trials are kept; None keeps nothing.
+        rate: learning rate of `mmc-body` and `ik-body`: share of what a movement shows that is
+            learned; a sequence has one rate per state, such as a fast and a slow one.  1 learns all
+            within the movement.
+        retention: of the same agents: share of a state that is left at the next trial.
+        learners: settings that differ for some agents, by label, as in
             `{"slow": {"rate": 0.05}}`, see `mmc_gym.agents.body_model.parts.Parts`.
         keep: labels of agents whose whole state lasts from trial to trial, in place of what their
             `between_trials` keeps.
-        jobs: how many cells are played at once, see `run_grid`.
+        jobs: number of cells played at once, see `run_grid`.
         env_kwargs: arguments of the environment, as in `compare`.
         allow_pickle: as in `compare`.
         wrapper: as in `compare`.
-        on_progress: called with the number of cells that are done, and of all.
+        on_progress: called with the number of finished cells and the number of all cells.
 
     >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
     <rotation-30: ik-dls, 1 subjects each>
@@ -364,7 +368,7 @@ def run_experiment(
         for agent in found
     ]
     whole = list(_checked(whole))
-    for one in whole if folder else ():  # before play: a file that is missing later is noticed
+    for one in whole if folder else ():  # before play, so that a file lost later is noticed
         plan = cast(Path, folder) / f"{one.stem}.json"
         if _subjects_in(plan) < subjects:
             write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
@@ -385,17 +389,17 @@ def run_experiment(
 
 
 def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what an agent learns with, all of `LEARNED`; raise a `UserError` for a wrong one."""
+    """Return all of an agent's `LEARNED` settings; raise a `UserError` for a wrong one."""
     for name in given:
         require_choice("learners", name, LEARNED)
-    several = {name: given[name] for name in LEARNED[:2]}  # of states
+    several = {name: given[name] for name in LEARNED[:2]}  # per state
     shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
     parts = Parts(**{**given, **shares})
     return {name: getattr(parts, name) for name in LEARNED}
 
 
 def _content(path: Path, cell: TrialsCell) -> bytes | None:
-    """Return a cell's file; None if it is missing, damaged, or of other settings."""
+    """Return the content of a cell's file; None if missing, damaged, or of other settings."""
     try:
         content = path.read_bytes()
         _, found = _read(path, content)
@@ -405,7 +409,7 @@ def _content(path: Path, cell: TrialsCell) -> bytes | None:
 
 
 def _read(path: Path, content: bytes) -> _Cell:
-    """Return the table and the settings in a file of trials; one of another name is damaged."""
+    """Return the table and settings of a file; raise a `UserError` if it is damaged or renamed."""
     try:
         table, kept = read_table(content)
         if "experiment" not in kept.settings:
@@ -443,7 +447,8 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """Return the results of all experiments that a store holds, in the order of their names.
 
     Raises:
-        UserError: if a file is missing or damaged, or settings of one agent or experiment differ.
+        UserError: if a file is missing or damaged, or files of the same agent or experiment have
+            different settings.
     """
     found: dict[str, list[_Cell]] = {}
     first: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}
@@ -465,7 +470,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
 
 
 def _planned_files(folder: Path) -> Iterator[Path]:
-    """Return the files of trials that a store must hold; refuse one without a plan."""
+    """Yield the files that plans ask for; raise a `UserError` for a missing file or plan."""
     plans = sorted(folder.glob("[!.]*.json"))
     for path in sorted(folder.glob("[!.]*.parquet")):
         plan = path.with_name(f"{path.name.rsplit('.', 2)[0]}.json")
@@ -483,7 +488,7 @@ def _planned_files(folder: Path) -> Iterator[Path]:
 
 
 def _differences(one: Any, other: Any, name: str = "") -> Iterator[str]:
-    """Return the entries in which settings differ, with both values."""
+    """Yield each entry in which two settings differ, as text with both values."""
     if isinstance(one, list) and any(isinstance(each, dict) for each in one):
         one, other = dict(enumerate(one)), dict(enumerate(other))
     if isinstance(one, dict) and isinstance(other, dict):

@@ -68,11 +68,11 @@ _STRAIGHT = {"d": 1e-14, "f": 1e-5}
 class MMCState:
     """Values of all variables of a batch of networks.
 
-    The properties show them with the batch first, without a copy.
+    The properties have the batch axes first; `vectors` and `segments` are views, not copies.
     """
 
-    #: one row per variable with the batch on the last axes, (rows, 2, ...): the chain's vectors,
-    #: then the segments that await their normalization (schedule "delayed" only), then the segment
+    #: one row per variable, with the batch on the last axes, (rows, 2, ...): the chain's vectors,
+    #: then the segments still to be normalized (schedule "delayed" only), then the segment
     #: velocities (dynamic networks only)
     values: Floats
     segment_count: int  #: N
@@ -105,13 +105,13 @@ class MMCState:
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
-        """Leading axes of the other properties."""
+        """Shape of the batch: the leading axes of the other properties."""
         return self.values.shape[2:]
 
 
 @dataclass(frozen=True, eq=False)
 class Clamps:
-    """Variables held at given values, made by the network that they are used with."""
+    """Variables held at given values; made by methods of the network, such as `inverse`."""
 
     rows: tuple[int, ...]
     values: Floats
@@ -131,7 +131,7 @@ class Trajectory(NamedTuple):
         """Draw the first arms of the batch, later iterations darker, and the paths of their hands.
 
         A cross marks the end of each R, the vector from base to hand, which an inverse task holds
-        at the target.  Without `axes` there is a new figure.
+        at the target.  Return the figure: that of `axes`, or a new one.
         """
         from mmc_gym._plotting import plot_postures
 
@@ -147,8 +147,8 @@ class MMCNetwork:
 
     For arms in space there is `mmc_gym.robots.HingeNetwork`.
 
-    It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
-    part needs a single iteration.  A smaller d is refused.
+    The network converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1
+    the linear part needs a single iteration.  A d of (N + 1)/2 or less raises a `UserError`.
 
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -195,16 +195,16 @@ class MMCNetwork:
 
     @property
     def segment_count(self) -> int:
-        """N."""
+        """Number of segments, N."""
         return len(self.segment_lengths)
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
-        """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
+        """Return the state of arms at rest with these joint angles (..., N), in radians."""
         angles = require_floats("joint_angles", joint_angles, (self.segment_count,))
         return self.state_from_segments(segments_from_joint_angles(angles, self.segment_lengths))
 
     def state_from_segments(self, segments: ArrayLike) -> MMCState:
-        """Return the state at rest with segment vectors (..., N, 2), and all others consistent.
+        """Return the state at rest with segment vectors (..., N, 2); the other vectors are sums.
 
         The segments are not normalized before the first iteration.  float32 is kept; anything else
         becomes float64.
@@ -219,7 +219,7 @@ class MMCNetwork:
         return MMCState(np.ascontiguousarray(rows), self.segment_count)
 
     def inverse(self, target: ArrayLike) -> Clamps:
-        """Hold the end effector at `target` (..., 2): the inverse task."""
+        """Return clamps that hold the end effector at `target` (..., 2): the inverse task."""
         # As `clamp`, but three times as fast: agents call it in every control step.
         target = require_floats("target", target, (2,))
         batch = range(target.ndim - 1)
@@ -227,14 +227,14 @@ class MMCNetwork:
         return Clamps((self._hand_row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
-        """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
+        """Return clamps that hold all segments at `segments` (..., N, 2): the forward task."""
         segments = require_floats("segments", segments, (self.segment_count, 2))
         return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
 
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
-        """Hold the vectors v_ij of the given node pairs at values (..., 2): any mixed task.
+        """Return clamps that hold vectors v_ij, by node pair (i, j), at values (..., 2): any task.
 
-        A held segment is not normalized, so its value should have its length.
+        A held segment is not normalized, so its value should have the segment's length.
         """
         held = held_rows(self, "vectors", vectors, require_floats)
         if not held:
@@ -257,8 +257,8 @@ class MMCNetwork:
         Batch axes of state and clamps are broadcast against each other.
 
         If a straight or folded arm, its target and all clamped vectors lie in one line, so do all
-        means, and no iteration leaves that line.  Such an arm is first bent by `chain.BEND` at each
-        joint, if it could get nearer to its target.
+        means, and no iteration leaves that line.  If such an arm could get nearer to its target,
+        each of its joints is first bent by `chain.BEND`.
         """
         require_whole("iterations", iterations, least=0)
         values = self.hold(state, clamps).values
@@ -267,9 +267,9 @@ class MMCNetwork:
         return MMCState(values, self.segment_count)
 
     def hold(self, state: MMCState, clamps: Clamps) -> MMCState:
-        """Return a copy of the state with the clamped variables at their values: `run` begins so.
+        """Return a copy of the state with clamped variables at their values, as `run` begins.
 
-        Batch axes are broadcast, and arms bent that could never leave the line they lie in.
+        Batch axes are broadcast.  Arms that could never leave the line they lie in are bent.
         """
         self._check(state, clamps)
         values, held = state.values, clamps.values
@@ -325,13 +325,13 @@ class MMCNetwork:
 
     @cached_property
     def row_count(self) -> int:
-        """Number of rows of its states, see `MMCState`."""
+        """Number of rows in a state of this network, see `MMCState`."""
         count = self.segment_count
         blocks = (self.schedule == "delayed") + (self.dynamics != "kinematic")
         return count * (count + 1) // 2 + count * blocks
 
     def _bend_where_stuck(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
-        """Return states (rows, 2, ...), bent where they could never leave the line they lie in."""
+        """Return values (rows, 2, ...); arms that could never leave their line are bent."""
         count, hand = self.segment_count, self._hand_row
         if hand not in rows:
             return values
@@ -352,7 +352,7 @@ class MMCNetwork:
 
 
 def _are_in_line(first: Floats, others: Floats, tolerance: float) -> NDArray[np.bool_]:
-    """Return whether the cross products of a vector (2, ...) with others (rows, 2, ...) are 0."""
+    """Return whether all `others` (rows, 2, ...) are parallel to `first` (2, ...), as (...)."""
     cross = np.abs(first[0] * others[:, 1] - first[1] * others[:, 0])
     in_line: NDArray[np.bool_] = (cross <= tolerance).all(axis=0)
     return in_line

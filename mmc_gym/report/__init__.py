@@ -1,7 +1,7 @@
-"""The report of a store: one file, HTML or Markdown, about the agents to compare.
+"""The report of a store: one file, HTML or Markdown, that compares agents.
 
-A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.  The file is complete
-in itself, and every number in it is computed from the store.
+A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.  The file is
+self-contained, and every number in it is computed from the store.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ def write_report(
     format: Format = "html",
     yardstick: str = "",
 ) -> Path:
-    """Write the report of a store, and return its file.
+    """Write the report of a store, and return its path.
 
     Args:
         store: folder of a benchmark, of experiments, or of both.
-        out: the file.
-        resamples: number for the ranking's intervals; the other tables use at most 500.
-        focus: names of the agents that it is about; by default your own (files, models, modules
-            and objects), or else the first that took part.
+        out: path of the report.
+        resamples: bootstrap resamples for the ranking; other tables use at most 500.
+        focus: names of the agents that the report is about; by default your own (files, models,
+            modules and objects), or else the first that took part.
         format: "html", or "md" for its tables in Markdown.
-        yardstick: name of the agent to whom the others have regret, if one was trained on ranges;
-            by default the best.
+        yardstick: name of the agent relative to which regret is computed, if any agent was trained
+            on ranges; by default the best.
 
     Raises:
-        UserError: also if the store is damaged or has no episodes.
+        UserError: if an argument is wrong, or the store is damaged or has no episodes.
     """
     for name, path in (("store", store), ("out", out)):
         require(isinstance(path, str | Path), name, path, "a path")
@@ -135,7 +135,7 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
 
 
 def _headline(results: Results) -> str:
-    """Return how good the agents in focus are, in a sentence for each."""
+    """Return a sentence for each agent in focus, with its success and rank."""
     success, said, ranking = MEASURES["success"], [], results.ranking
     for row in ranking.to_dict("records"):
         if row["agent"] in results.focus:
@@ -147,9 +147,9 @@ def _headline(results: Results) -> str:
 
 
 def _learning_curves(results: Results) -> str | None:
-    """Return a picture of all learning curves; None if no agent in focus has one.
+    """Return a picture of all learning curves, see `_picture`; None if no agent in focus has one.
 
-    Also if there is no agent whose training seeds overlap, see `mean_curves`.
+    None, too, if the training seeds of no agent overlap, see `mean_curves`.
     """
     if not any(results.identities[agent].cards for agent in results.focus):
         return None
@@ -163,7 +163,7 @@ def _learning_curves(results: Results) -> str | None:
 
 
 def _picture(figure: Figure) -> str:
-    """Return a figure as an address that holds its SVG."""
+    """Return a figure as a data URL of its SVG."""
     from matplotlib import rc_context
 
     from mmc_gym._plotting import STYLE
@@ -174,7 +174,7 @@ def _picture(figure: Figure) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-# The data of the replay: a few movements, as compact JSON, first those in which the focus fails.
+# The data of the replay: a few movements, as compact JSON, failures of agents in focus first.
 #
 # Positions and angles are in thousandths, distances from the target in ten-thousandths.  Every
 # value but the first of a series is the difference from the one before, so that most have one to
@@ -189,12 +189,12 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
 def replay(results: Results) -> dict[str, Any]:
-    """Return movements by scenario, instance and agent, and the settings of the scenarios.
+    """Return the replay's data: movements by scenario, instance and agent, and settings.
 
-    Trained agents are shown by their first training.
+    Of a trained agent, the training with the lowest seed is shown.
     """
     paths = results.paths
-    if "hand_z" in paths:  # it shows the plane
+    if "hand_z" in paths:  # the replay shows movements in the plane only
         paths = paths[paths["hand_z"].isna()]
     recorded = set() if paths.empty else set(paths["environment"])
     scenes = {key: _scenes(results, key) for key in results.replayed_scenarios if key in recorded}
@@ -215,7 +215,7 @@ def replay(results: Results) -> dict[str, Any]:
 
 
 def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
-    """Return target and movements of each episode that is shown, failures of the focus first."""
+    """Return targets and movements of a scenario's shown instances, failures of the focus first."""
     paths = results.paths[results.paths["environment"] == environment]
     failed: dict[int, list[str]] = {}
     for agent in results.focus:
@@ -243,7 +243,7 @@ def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
 
 
 def _steps_of_first_trainings(paths: pd.DataFrame) -> dict[tuple[int, str], dict[str, Floats]]:
-    """Return the columns of each agent's lowest training seed, by instance and agent."""
+    """Return the paths of each agent's lowest training seed: columns by (instance, agent)."""
     paths = paths.sort_values("step", kind="stable")
     numbers = paths.drop(columns=["agent", "environment"])
     columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
@@ -264,7 +264,7 @@ def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, 
     hand, cursor, target = (_points(steps, name) for name in ("hand", "cursor", "target"))
     joints = [values for name, values in steps.items() if name.startswith("joint_angle_")]
     angles = np.array(joints).reshape(-1, len(hand)).T
-    angles = angles[:, ~np.isnan(angles).all(axis=0)]  # others may have arms of more segments
+    angles = angles[:, ~np.isnan(angles).all(axis=0)]  # arms of other agents may have more segments
     distance = np.linalg.norm(cursor - target, axis=-1)
     movement: dict[str, Any] = {
         "hand": [_compact(column) for column in hand.T],
@@ -279,7 +279,7 @@ def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, 
 
 
 def _lengths(angles: Floats, hand: Floats, given: Sequence[float]) -> list[float]:
-    """Return the segment lengths, nearest to the given, that put the end of the arm at the hand."""
+    """Return segment lengths that put the arm's end at the hand: `given`, or the nearest ones."""
     turned = np.cumsum(angles, axis=1)
     design = np.concatenate([np.cos(turned), np.sin(turned)])
     missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(given)
@@ -290,7 +290,7 @@ def _lengths(angles: Floats, hand: Floats, given: Sequence[float]) -> list[float
 
 
 def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
-    """Return values in parts of one, such as thousandths: the first, then the differences.
+    """Round values to multiples of 1 / `parts`; return the first multiple, then the differences.
 
     >>> _compact([1.0, 1.002, 0.9995])
     [1000, 2, -2]

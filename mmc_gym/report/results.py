@@ -1,4 +1,4 @@
-"""Read a benchmark's store: episodes, scenarios, the agents, and which the report is about."""
+"""Read a benchmark's store: episodes, scenarios, agents, and the agents in the report's focus."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from mmc_gym.measures.catalogue import measures_of
 
 REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
 
-SCORE_RESAMPLES = 500  # at most, for each of the thousands of intervals of single scenarios
+SCORE_RESAMPLES = 500  # upper limit for single scenarios, whose tables have thousands of intervals
 
 ALL = "all scenarios"
 
@@ -54,12 +54,12 @@ class AgentIdentity:
 
     name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty for an agent of yours
     knowledge: Knowledge = UNKNOWN  #: its kind, what it is given, and what it senses
-    #: of each of its trainings, 0 without one; None where it is unknown
+    #: environment steps of each training, 0 if it was not trained; None where unknown
     training_steps: tuple[int | None, ...] = ()
-    sources: tuple[str, ...] = ()  #: of its trainings
+    sources: tuple[str, ...] = ()  #: of its trainings, see `Policy.source`
 
     def about(self, label: str) -> str:
-        """Return what it is, with its name if it has another `label`."""
+        """Return a description of the agent, with its name if that differs from `label`."""
         if self.name in AGENTS:
             about = AGENTS[self.name].description
             return about if self.name == label else f"{self.name}: {about}"
@@ -67,7 +67,7 @@ class AgentIdentity:
 
     @property
     def training(self) -> str:
-        """How long it was trained, in words."""
+        """The length of its training in environment steps, in words."""
         if self.knowledge.kind not in ("learned", "yours"):
             return "not trained"
         known = sorted(steps for steps in self.training_steps if steps)
@@ -79,7 +79,7 @@ class AgentIdentity:
 
     @property
     def cards(self) -> tuple[PolicyCard, ...]:
-        """Cards of its trainings that have a learning curve; empty if one of them is missing."""
+        """The cards of its trainings; empty unless every card has a learning curve."""
         found = []
         for source in self.sources:
             with suppress(UserError, OSError):  # its file may have gone since it was played
@@ -89,7 +89,7 @@ class AgentIdentity:
 
 
 def identify(policies: Iterable[Policy]) -> AgentIdentity:
-    """Return who an agent is: name and knowledge of its trainings, unknown if these differ."""
+    """Return who an agent is, by its trainings; unknown if their names or knowledge differ."""
     trainings = list(policies)
     facts = {(one.name, one.knowledge) for one in trainings}
     name, knowledge = facts.pop() if len(facts) == 1 else ("", UNKNOWN)
@@ -103,14 +103,14 @@ class Environment:
 
     description: str = ""
     family: str = ""  #: of the perturbation; empty without one
-    kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments that made it
+    kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments that made the environment
     control_step: float = math.nan  #: seconds
     segment_lengths: tuple[float, ...] = ()  #: of the arm that agents are given
     tolerance: float = math.nan  #: distance from the target that counts as success, segment lengths
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Environment:
-        """Return the scenario of an entry in the manifest; what this lacks has its default."""
+        """Make the scenario of an entry in the manifest; missing settings get their defaults."""
         known = {one.name: settings.get(one.name) for one in fields(cls)}
         return cls(**{name: value for name, value in known.items() if value is not None})
 
@@ -127,25 +127,25 @@ class Results:
     measures: tuple[Measure, ...]  #: those that tables show and that have a value in some episode
     ranking: pd.DataFrame  #: of `rank_agents`; empty if no scenario was attempted by all
     resamples: int  #: number of bootstrap resamples in the tables of single scenarios
-    ranking_resamples: int  #: number of those of the ranking
+    ranking_resamples: int  #: number of bootstrap resamples in the ranking
     store: Path  #: the folder
-    yardstick: str  #: the agent to whom the others have regret; empty without one
+    yardstick: str  #: the agent relative to which regret is computed; empty without one
 
     @cached_property
     def ranges(self) -> Ranges:
-        """The ranges of the first agent that was trained on some; empty if none was."""
+        """The ranges of the first agent that was trained on ranges; empty if none was."""
         cards = [card for agent in self.agents for card in self.identities[agent].cards[:1]]
         return trained_ranges(cards)
 
     @cached_property
     def judged(self) -> dict[str, Judged]:
-        """Where scenarios are, inside or beyond the trained `ranges`; of those that have some."""
+        """The place of each scenario, such as inside or beyond `ranges`, by name, if it has one."""
         places = {name: place_of(name, self.ranges) for name in self.environments}
         return {name: place for name, place in places.items() if place is not None}
 
     @cached_property
     def controls(self) -> dict[str, str]:
-        """The control mode in which each agent acts, without the ideal hand."""
+        """The control mode of each agent, except the ideal hand."""
         return {one: self.manifest.control(one) for one in self.agents if one != REFERENCE}
 
     def kind(self, agent: str) -> Kind:
@@ -179,7 +179,7 @@ class Results:
 
     @cached_property
     def replayed_scenarios(self) -> list[str]:
-        """The scenarios that the replay shows, those first in which the focus fails most often."""
+        """The scenarios that the replay shows, by the focus's share of success, lowest first."""
         mine = self.episodes[self.episodes["agent"].isin(self.focus)]
         success = mine.groupby("environment")["success"].mean()
         order = sorted(self.environments, key=lambda key: (success.get(key, 1.0), key != self.base))
@@ -199,7 +199,7 @@ class Results:
 
     @cached_property
     def replayed_failures(self) -> dict[tuple[str, str], list[int]]:
-        """The instances of failures that the replay shows, by agent and scenario."""
+        """The instances of failed episodes that the replay shows, by (agent, scenario)."""
         if self.paths.empty:
             return {}
         names = {"agent": str, "environment": str}
@@ -210,12 +210,12 @@ class Results:
 
     @cached_property
     def successes(self) -> dict[str, Bootstrap]:
-        """For `ALL` and each scenario, the success of the agents that attempted it."""
+        """The bootstrap of the agents' success, for `ALL` and each scenario that was attempted."""
         groups = self._attempted.groupby("environment", sort=False)
         frames = {str(name): rows for name, rows in groups}
         if not self.ranking.empty and len(frames) > 1:
             frames[ALL] = ranked_scores(self._attempted)
-        # As many of all as the ranking has, so that both say the same.
+        # As many resamples for `ALL` as for the ranking, so that both have the same intervals.
         resamples = {ALL: self.ranking_resamples}
         return {
             name: Bootstrap.of(frames[name], "success", resamples.get(name, self.resamples))
@@ -225,11 +225,11 @@ class Results:
 
     @cached_property
     def places(self) -> dict[Place, Bootstrap]:
-        """The success over all scenarios of a place that all agents attempted."""
+        """The bootstrap of the agents' success in each place, over scenarios that all attempted."""
         scores, found = self._attempted, {}
         for place in PLACES:
             names = [name for name, one in self.judged.items() if one.place == place]
-            with suppress(UserError):  # there is none
+            with suppress(UserError):  # no such scenario
                 here = ranked_scores(scores[scores["environment"].isin(names)])
                 found[place] = Bootstrap.of(here, "success", self.resamples)
         return found
@@ -240,7 +240,7 @@ class Results:
 
     @property
     def sample_sizes(self) -> str:
-        """The number of episodes, and of the trainings of agents that have several, in words."""
+        """The number of episodes, and of trainings where an agent has several, in words."""
         instances = self.episodes.groupby("environment")["instance"].nunique()
         seeds = self.episodes.groupby("agent")["training_seed"].nunique()
         several = ", ".join(f"{agent} {number}" for agent, number in seeds.items() if number > 1)
@@ -252,7 +252,7 @@ class Results:
 
     @property
     def settings(self) -> list[str]:
-        """The settings that the scenarios were played with, a line each."""
+        """The settings that the scenarios were played with, one line per setting."""
         found: dict[str, dict[str, str]] = {}
         for name, one in self.environments.items():
             given = {k: v for k, v in one.kwargs.items() if k not in ("task", "perturbations")}
@@ -274,7 +274,7 @@ class Results:
 
 
 def _alike(texts: Mapping[str, str]) -> str:
-    """Return the text of most scenarios, and the others with the names of theirs."""
+    """Return the most frequent text, then each other text with the names of its scenarios."""
     most, *others = [text for text, _ in Counter(texts.values()).most_common()]
     rest = [
         f"{text or 'none'} in {listed([name for name, one in texts.items() if one == text])}"
@@ -284,7 +284,7 @@ def _alike(texts: Mapping[str, str]) -> str:
 
 
 def listed(items: Sequence[str]) -> str:
-    """Return items with commas, the last with "and".
+    """Join items by commas, the last one by "and".
 
     >>> listed(["a", "b", "c"])
     'a, b and c'
@@ -295,15 +295,15 @@ def listed(items: Sequence[str]) -> str:
 def read_results(
     store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = (), yardstick: str = ""
 ) -> Results:
-    """Read the store in a folder, and rank its agents with so many `resamples`.
+    """Read the store in a folder, and rank its agents with `resamples` bootstrap resamples.
 
-    Those of single scenarios are at most `SCORE_RESAMPLES`.  For the others see `write_report`.
+    Single scenarios get at most `SCORE_RESAMPLES`.  For `focus` and `yardstick` see `write_report`.
     """
     manifest = read_manifest(store)
     require_all_cells(store, manifest)
     measures = measures_of(manifest.measures)
     shown = [one.name for one in measures.values() if one.shown]
-    used = ("success", "time_to_target", "duration", "final_distance")  # whatever tables show
+    used = ("success", "time_to_target", "duration", "final_distance")  # whatever the tables show
     played = read_episodes(store, [*shown, *used])
     episodes = leave_out_failures(_compact(played), measures.values())
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
@@ -341,7 +341,7 @@ def read_results(
 
 
 def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
-    """Return the agents `asked` for; without any, all of yours, or else the first one."""
+    """Return the agents `asked` for; if none, all your own, or else the first agent."""
     for name in asked:
         require_choice("focus", name, identities)
     own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
@@ -350,6 +350,6 @@ def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tup
 
 
 def _compact(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return names as categories, quick to compare, and training seeds as numbers (NaN if none)."""
+    """Return a table with names as categories, for speed, and seeds as floats (NaN if none)."""
     names = frame.astype({"agent": "category", "environment": "category"})
     return names.assign(training_seed=frame["training_seed"].astype(np.float64))

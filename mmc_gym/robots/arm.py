@@ -5,14 +5,14 @@ and the hand has the pose M (Lynch & Park, Modern Robotics, Sect. 4.1).  Then
 
     T(q) = e^{[S_1] q_1} … e^{[S_n] q_n} M,      S_i = (u_i, a_i × u_i)
 
-where e^{[S_i] q_i} turns all that the hinge carries about its line by q_i.
+where e^{[S_i] q_i} turns everything that hinge i carries about its line by q_i.
 
 **Nodes follow by a rule.**  The last node is the hand, and all last hinges whose axes go through it
-belong to it.  From the base on, neighbouring hinges whose axes meet in one point share that point
-as their node, as many as possible: shoulder, elbow and wrist of most robots.  Where the axis of a
-hinge meets none, or where axes coincide, the node is the point nearest to the node before.
-Each node lies on the axes of its hinges, so the distance of neighbours is the same in all postures:
-the nodes are the joints of a chain of rigid segments.  Its base is node 0.
+belong to it.  From the base on, as many neighbouring hinges as possible share a node, the point
+where their axes meet: shoulder, elbow and wrist of most robots.  If the axis of a hinge meets no
+other, or if axes coincide, the node is the point on them nearest to the node before.  Each node
+lies on the axes of its hinges, so neighbouring nodes keep their distance in all postures: the nodes
+are the joints of a chain of rigid segments, with the base at node 0.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from mmc_gym.geometry import Floats
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
-_MEET = 1e-4  # axes meet where they come this near to a point, m
-_SQUARE = 1e-6  # deviation of a rotation's product with its transpose from 1
+_MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
+_SQUARE = 1e-6  # largest deviation of a rotation times its transpose from the identity
 _LARGEST_FILE = 16 * 2**20  # bytes of a URDF file
 
 
 class ArmFrames(NamedTuple):
-    """An arm in a posture, seen from its base."""
+    """An arm in a posture; all in the frame of its base, lengths in metres."""
 
-    nodes: Floats  #: (..., N + 1, 3)
+    nodes: Floats  #: positions of the nodes, (..., N + 1, 3)
     axes: Floats  #: unit vectors of the hinges, (..., n, 3)
-    points: Floats  #: the points on them that describe the arm, (..., n, 3)
+    points: Floats  #: where the points of `HingeArm.points` are now, (..., n, 3)
     hand: Floats  #: pose of the hand, (..., 4, 4)
 
 
 def require_rotations(name: str, value: Floats) -> None:
-    """Raise a `UserError` for the first of some matrices (..., 3, 3) that is no rotation."""
-    matrices = value.reshape(-1, 9).tolist()  # numpy takes four times as long for one of them
+    """Raise a `UserError` for the first matrix of `value` (..., 3, 3) that is no rotation."""
+    matrices = value.reshape(-1, 9).tolist()  # numpy takes four times as long for one matrix
     for number, (a, b, c, d, e, f, g, h, i) in enumerate(matrices):
         # The rows (a, b, c) … must have length 1 and be at right angles.
         squares = abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1)
@@ -92,7 +92,7 @@ class HingeArm:
     axes: Floats  #: directions of the hinges in the zero posture, (n, 3); brought to length 1
     points: Floats  #: a point on each axis in the zero posture, (n, 3)
     home: Floats  #: pose of the hand in the zero posture, (4, 4)
-    limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite where there is none
+    limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite without a limit
     joint_names: tuple[str, ...] = ()  #: of the hinges, all different; "joint_0" … if not given
 
     def __post_init__(self) -> None:
@@ -129,7 +129,7 @@ class HingeArm:
 
     @classmethod
     def named(cls, name: NamedArm) -> HingeArm:
-        """Return a robot of the tables.
+        """Return one of the robots that ship with the package.
 
         - `"panda"`: Franka Emika Panda, from `panda_link0` to the flange `panda_link8`.
         - `"ur5"`: Universal Robots UR5, from `base_link` to the flange `tool0`.
@@ -144,13 +144,13 @@ class HingeArm:
     def from_urdf(cls, path: Path | str, base: str, tip: str) -> HingeArm:
         """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
 
-        Joints are revolute, "continuous" without a limit, or fixed: these move with what carries
-        them.  Nothing but the file is read, no meshes.
+        Joints may be revolute, continuous (hinges without limits) or fixed (not hinges: they only
+        add their offset).  Only the file itself is read, no meshes.
 
         Raises:
             UserError: if the file is no XML or the links do not form a tree; if a joint between
                 the two links slides, follows another one (`<mimic>`), is revolute without limits
-                or cannot be read.  It names the joint and its line.
+                or cannot be read.  The message names the joint and its line.
             FileNotFoundError: if there is no file.
         """
         pose, axes, points, limits, names = np.eye(4), [], [], [], []
@@ -186,7 +186,7 @@ class HingeArm:
 
     @cached_property
     def joint_nodes(self) -> tuple[int, ...]:
-        """The node that each hinge belongs to, n indices."""
+        """Index of the node that each of the n hinges belongs to."""
         return self._rule[0]
 
     @property
@@ -195,22 +195,22 @@ class HingeArm:
         return len(self._rule[1])
 
     def forward(self, joint_angles: ArrayLike) -> Floats:
-        """Return the poses of the hand (..., 4, 4) in postures (..., n)."""
+        """Return the poses of the hand (..., 4, 4) for joint angles (..., n)."""
         return self.frames(joint_angles).hand
 
     def nodes(self, joint_angles: ArrayLike) -> Floats:
-        """Return the nodes (..., N + 1, 3) in postures (..., n)."""
+        """Return the positions of the nodes (..., N + 1, 3) for joint angles (..., n)."""
         return self.frames(joint_angles).nodes
 
     def frames(self, joint_angles: ArrayLike) -> ArmFrames:
-        """Return nodes, axes, their points and the hand's pose in postures (..., n)."""
+        """Return nodes, axes, points on the axes and pose of the hand for joint angles (..., n)."""
         angles = require_array("joint_angles", joint_angles)
         accepted = f"of shape (..., {self.joint_count})"
         require(angles.shape[-1:] == (self.joint_count,), "joint_angles", angles.shape, accepted)
         batch, (joint_nodes, home_nodes) = angles.shape[:-1], self._rule
         nodes = np.broadcast_to(home_nodes, (*batch, *home_nodes.shape)).copy()
         axes, points = np.empty((2, *batch, self.joint_count, 3))
-        # What the next hinge is carried by has moved each point x to turn x + shift.
+        # The link that carries the next hinge has moved each of its points x to turn x + shift.
         turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
         for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
             axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
@@ -249,20 +249,23 @@ class HingeArm:
         return tuple(joint_nodes), np.array([*nodes, hand])
 
     def _meet(self, joints: range, near: Floats) -> tuple[Floats, float]:
-        """Return the point nearest to some axes (of these, the one nearest to `near`), its miss."""
+        """Return the point nearest to the axes of `joints`, and its largest distance from them.
+
+        If many points are equally near, it is the one nearest to `near`.
+        """
         across = np.eye(3) - self.axes[joints, :, None] * self.axes[joints, None, :]
         pull = np.einsum("nij,nj->i", across, self.points[joints] - near)
         point = near + np.linalg.pinv(across.sum(axis=0), rcond=1e-6, hermitian=True) @ pull
         return point, self._miss(joints, point)
 
     def _miss(self, joints: range, point: Floats) -> float:
-        """Return the largest distance of a point from some axes."""
+        """Return the largest distance of a point from the axes of `joints`."""
         away = np.cross(self.axes[joints], point - self.points[joints])
         return float(np.linalg.norm(away, axis=1).max())
 
 
 def _joints_between(path: Path, base: str, tip: str) -> list[tuple[str, Any]]:
-    """Return the joints from `base` to `tip`, each with its name and line.
+    """Return the joints from `base` to `tip`, each after its file, name and line in words.
 
     The file is parsed strictly, by lxml: nothing is repaired, and no entity or other file is read.
     yourdfpy reads what a joint contains, one joint at a time, so that an error can name it.
@@ -324,7 +327,7 @@ def _link_of(joint: Any, end: str) -> str:
 
 
 def _read(path: Path, element: Any) -> Any:
-    """Return what yourdfpy reads of one joint; refuse one that is no hinge of its own."""
+    """Return a joint as yourdfpy reads it; raise a `UserError` unless it is a hinge or fixed."""
     import yourdfpy
     from lxml import etree
 

@@ -1,6 +1,6 @@
 """Policies of stable-baselines3 and sb3-contrib; their networks and checkpoints as plain arrays.
 
-Most recipes use stable-baselines3's "MlpPolicy".  `TQCGoalPolicy` has its full name in YAML files,
+Most recipes use stable-baselines3's "MlpPolicy".  YAML files give `TQCGoalPolicy` by its full name,
 so that rl_zoo3 finds it too.
 
 A checkpoint is the state of a model as safetensors, from which a training resumes: weights and
@@ -35,12 +35,12 @@ from mmc_gym._files import UNSEALED, check_seal, seal, write_atomically
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.interface import ObservationLayout
 
-_NO_SPREAD = -80.0  # the logarithm of a spread that changes no action
+_NO_SPREAD = -80.0  # log standard deviation, too small to change an action
 ACTIVATIONS: dict[Activation, Any] = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
 
 
 class FlatObservation(BaseFeaturesExtractor):
-    """Observations in the form of `MMCReach-v0`, as a layer without parameters."""
+    """A layer without parameters that turns observations into the form of `MMCReach-v0`."""
 
     def __init__(self, observation_space: spaces.Space[Any], joint_count: int) -> None:
         self.layout = layout = ObservationLayout(joint_count, reach=1.0)  # of any reach
@@ -52,7 +52,7 @@ class FlatObservation(BaseFeaturesExtractor):
 
 
 class TQCGoalPolicy(TQCPolicy):
-    """`TQCPolicy` that sees a goal environment's observations in the form of `MMCReach-v0`."""
+    """A `TQCPolicy` that sees a goal environment's observations in the form of `MMCReach-v0`."""
 
     def __init__(
         self,
@@ -67,12 +67,12 @@ class TQCGoalPolicy(TQCPolicy):
 
 
 def export_policy(policy: BasePolicy, normalizer: VecNormalize | None = None) -> PolicyNetwork:
-    """Return a copy of the network of a policy of one of `ALGORITHMS`.
+    """Return a copy of a policy's network, for any of `ALGORITHMS`.
 
-    The `normalizer` is that of its observations.
+    The copy includes the observation statistics of the `normalizer`, if there is one.
 
     Raises:
-        ValueError: if the policy has layers or a features extractor that we cannot copy.
+        ValueError: if a layer, the features extractor or the `normalizer` cannot be copied.
     """
     actor: Any = getattr(policy, "actor", policy)
     distribution: Distribution = "gaussian" if actor is policy else "squashed"
@@ -111,9 +111,9 @@ def export_network(
 ) -> PolicyNetwork:
     """Return a copy of an actor's layers as arrays.
 
-    Linear `hidden` layers, each followed by the same of `ACTIVATIONS`, lead to the layer `mean` of
-    the actions; `log_std` is a layer or a parameter.  What is `before` them has the names of
-    `PolicyNetwork`.
+    `hidden` are linear layers, each followed by the same one of `ACTIVATIONS`; `mean` is the layer
+    of the mean actions, and `log_std` a layer or a parameter.  `before` are tensors of earlier
+    layers, named as in `PolicyNetwork`.  Other activations raise a `ValueError`.
     """
     hidden = list(hidden)
     linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
@@ -140,7 +140,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
-    """Write the model's state and `head` (anything JSON can hold) to `path`, all or nothing."""
+    """Write the model's state and `head` (anything JSON can hold) to `path`, atomically."""
     tensors: Tensors = {}
     for name, part in model.get_parameters().items():
         if "state" in part and "param_groups" in part:
@@ -168,7 +168,7 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
 
 
 def read_head(path: Path) -> dict[str, Any]:
-    """Return the head that `save_checkpoint` was given; refuse a file that is damaged."""
+    """Return the checkpoint's head, with the model's counts; a `UserError` if it is damaged."""
     content = path.read_bytes()
     try:
         with safetensors.safe_open(path, framework="pt") as file:
@@ -180,9 +180,9 @@ def read_head(path: Path) -> dict[str, Any]:
 
 
 def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
-    """Restore the state of a model that was made with the same arguments as the checkpoint's.
+    """Load a checkpoint into a model that was made with the same arguments.
 
-    The `head` is that of `read_head`, which has checked the file.
+    `head` is what `read_head` returned, after it checked the file.
     """
     counts = head["model"]
     parameters: dict[str, Any] = {
@@ -208,17 +208,17 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
     if buffer is not None:
         buffer.pos, buffer.full = counts["position"], counts["full"]
     model.num_timesteps, model._n_updates = counts["steps"], counts["updates"]
-    model._last_obs = ()  # or stable-baselines3 resets the environments, which counts in statistics
+    model._last_obs = ()  # None would make stable-baselines3 reset, which counts in statistics
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
-    """Return what is learned outside of modules: the entropy coefficient of SAC and TQC, if any."""
+    """Return learned tensors that are in no module: SAC's and TQC's entropy coefficient, if any."""
     learned = getattr(model, "log_ent_coef", None)
     return {} if learned is None else {"log_ent_coef": learned}
 
 
 def _statistics(model: BaseAlgorithm) -> dict[str, RunningMeanStd]:
-    """Return the statistics of observations and returns of the model's `VecNormalize`."""
+    """Return the statistics of the model's `VecNormalize`, by name; empty without it."""
     normalize = model.get_vec_normalize_env()
     known = {} if normalize is None else vars(normalize)
     return {name: known[name] for name in ("obs_rms", "ret_rms") if name in known}

@@ -3,7 +3,7 @@
 A training is cut into legs.  At the start of each leg the environments are reset, all random
 generators are seeded from the training's seed and the leg's number, and the state of the training
 is written to a checkpoint.  So a killed training resumes from its last leg, and ends with the same
-policy as an undisturbed one.
+policy as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress of a training; `evaluation` is its latest scores, if they are new."""
+    """Progress of a training; `evaluation` is the learning curve's new row, None without one."""
 
     steps: int
     total_steps: int
@@ -66,7 +66,7 @@ class Training:
     """
 
     recipe: Recipe
-    seed: int  #: of everything random
+    seed: int  #: seed of all random generators
     folder: Path  #: where the checkpoint and the trained policy are written
     #: called after every rollout and every evaluation
     report: Callable[[TrainingProgress], None] = lambda progress: None
@@ -94,17 +94,18 @@ class Training:
 
     @property
     def policy_files(self) -> tuple[Path, Path]:
-        """The files of the trained policy."""
+        """The two files of the trained policy: its network (.safetensors) and its card (.json)."""
         label = file_stem(self.recipe.name, self.seed)
         return self.folder / f"{label}.safetensors", self.folder / f"{label}.json"
 
     def run(self, resume: bool = False) -> PolicyCard:
-        """Train, or resume a training if there is a checkpoint, and write the policy.
+        """Train, from the checkpoint if there is one; write the policy, and return its card.
 
         Raises:
-            FileExistsError: if there is a checkpoint or the policy, and `resume` is not set; or the
-                policy without the checkpoint.
-            UserError: also if the checkpoint is damaged or belongs to another training.
+            FileExistsError: if a checkpoint or the policy exists and `resume` is not set, or if the
+                policy exists without a checkpoint.
+            UserError: if the policy could not act, or the checkpoint is damaged or of another
+                training.
         """
         check_folder(self.folder, "out")
         for file in (self.checkpoint, *self.policy_files):
@@ -154,7 +155,7 @@ class Training:
         return self.recipe.make_model(env, self.seed, self.device, logs)
 
     def export(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, dict[str, Any]]:
-        """Return the policy's network as it is now, and the fields of its card about its inputs.
+        """Return the current network of the policy, and its card's fields about the inputs.
 
         Raises:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
@@ -164,7 +165,7 @@ class Training:
         return network, {"base_agent": getattr(model.get_env(), "base_agent", ""), "blocks": blocks}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
-        """Return the head of the checkpoint; None if there is none.  Refuse another training's."""
+        """Return the checkpoint's head, None without one; a `UserError` if another training's."""
         if not self.checkpoint.exists():
             return None
         head = read_head(self.checkpoint)
@@ -182,7 +183,7 @@ class Training:
         return head
 
     def save(self, model: BaseAlgorithm) -> None:
-        """Evaluate the policy and write the checkpoint."""
+        """Evaluate the policy, extend the learning curve, and write the checkpoint."""
         network, card = self._policy(model)
         scores = evaluate_policy(network, card, EVALUATION_EPISODES)
         self.curve.append({"steps": model.num_timesteps, **self._times(), **scores})
@@ -195,9 +196,9 @@ class Training:
         self.report(TrainingProgress(model.num_timesteps, self.total_steps, self.curve[-1]))
 
     def begin_leg(self, model: BaseAlgorithm) -> None:
-        """Begin a leg, a part of the training: reset the environments, and seed everything random.
+        """Begin a leg of the training: reset the environments, and seed all random generators.
 
-        The seed follows from that of the training and the number of the leg.
+        The seed is derived from the training's seed and the leg's number.
         """
         leg = model.num_timesteps // self.steps_per_leg
         seed = int(np.random.SeedSequence([self.seed, leg]).generate_state(1)[0])
@@ -214,7 +215,7 @@ class Training:
             buffer._current_ep_start[:] = buffer.pos
 
     def _identity(self) -> dict[str, Any]:
-        """Return what must be equal for a checkpoint to belong to this training."""
+        """Return the settings that a checkpoint of this training must have."""
         return {
             "name": self.recipe.name,
             "env_id": self.recipe.env_id,
@@ -229,7 +230,7 @@ class Training:
         return {name: round(now - self._started[name], 1) for name, now in _now().items()}
 
     def _policy(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, PolicyCard]:
-        """Return the policy as it is now, with a card that has no scores yet."""
+        """Return the current network of the policy, and a card that has no scores yet."""
         network, inputs = self.export(model)
         card = PolicyCard(
             name=self.recipe.name,
@@ -269,12 +270,11 @@ def train(
     env_kwargs: Mapping[str, Any] | None = None,
     on_progress: Callable[[TrainingProgress], None] = lambda progress: None,
 ) -> PolicyAgent:
-    """Train an agent, as `mmc-gym train` does, whose options are the arguments.
+    """Train an agent as `mmc-gym train` does, with its options as arguments; return the agent.
 
-    Without the folder `out` no files are kept, and `agent.save` writes the policy later.
-    `env_kwargs` are in addition to those in the file of hyperparameters.  `on_progress` is called
-    after every rollout and every evaluation.  Return the trained agent, with its `card`; it acts
-    without torch.
+    Without a folder `out` no files are kept; `agent.save` can write the policy later.  `env_kwargs`
+    are added to those in the file of hyperparameters.  `on_progress` is called after every rollout
+    and every evaluation.  The returned agent has a `card`, and acts without torch.
 
     Raises:
         FileExistsError: if the folder holds a training, and `resume` is not set.
@@ -317,7 +317,7 @@ class _Legs(BaseCallback):
 
 
 def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> GymnasiumVecEnv:
-    """Return the native vector environment of `count` arms, for stable-baselines3."""
+    """Make a native vector environment of `count` arms, adapted to stable-baselines3."""
     try:
         env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
     except TypeError as error:
@@ -328,7 +328,7 @@ def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> Gymnasiu
 
 
 def usable_device(name: str) -> str:
-    """Return the name of a device that torch can use here; of the best one for "auto"."""
+    """Return `name`, or for "auto" the best device; raise a `UserError` if torch cannot use it."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     try:
@@ -342,13 +342,13 @@ def usable_device(name: str) -> str:
 
 
 def library_versions() -> dict[str, str]:
-    """Return the versions of the packages that a training depends on."""
+    """Return the versions of Python and of the packages that a training depends on, by name."""
     names = ("mmc-gym", "gymnasium", "numpy", "pymunk", "stable-baselines3", "sb3-contrib", "torch")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
 def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
-    """Evaluate a policy in the environment of its training, on the default engine (pymunk)."""
+    """Return a policy's scores in its training environment, on the default engine (pymunk)."""
     arguments = {**card.hyperparameters.get("env_kwargs", {})}
     arguments.pop("engine", None)
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)

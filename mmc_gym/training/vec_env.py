@@ -1,4 +1,4 @@
-"""For stable-baselines3: Gymnasium's vector environments, and a memory of observations."""
+"""Adapters for stable-baselines3: Gymnasium's vector environments, and a memory of observations."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Info = dict[str, Any]
 
 
 class GymnasiumVecEnv(VecEnv):
-    """A native vector environment, of `gym.make_vec`, as a stable-baselines3 `VecEnv`.
+    """A native vector environment, made by `gym.make_vec`, as a stable-baselines3 `VecEnv`.
 
     It does what `DummyVecEnv` does with the same environments, seeds and actions, except that an
-    info is empty unless its episode has just ended: making all of them would take longer than the
+    info is empty unless its episode has just ended: making all infos would take longer than the
     step itself.  At the end of an episode the info is complete, with `terminal_observation` and
-    `TimeLimit.truncated`; stable-baselines3 reads no others.
+    `TimeLimit.truncated`; stable-baselines3 reads no other infos.
 
     >>> import gymnasium as gym, mmc_gym
     >>> from stable_baselines3 import PPO
@@ -37,7 +37,7 @@ class GymnasiumVecEnv(VecEnv):
     """
 
     def __init__(self, vector_env: VectorEnv) -> None:
-        """Adapt an environment whose autoreset mode is "SameStep", else raise a `UserError`."""
+        """Adapt an environment; raise a `UserError` unless its autoreset mode is "SameStep"."""
         mode = vector_env.metadata.get("autoreset_mode")
         accepted = "AutoresetMode.SAME_STEP, as in gym.make_vec(..., autoreset_mode='SameStep')"
         require(mode == AutoresetMode.SAME_STEP, "autoreset_mode of vector_env", mode, accepted)
@@ -48,7 +48,10 @@ class GymnasiumVecEnv(VecEnv):
         self.metadata = vector_env.metadata
 
     def reset(self) -> VecEnvObs:
-        """Start an episode in every environment, with the seeds, and the options they all share."""
+        """Reset all environments with the seeds and options set before, and return observations.
+
+        Raise a `UserError` if options differ between environments.
+        """
         options = self._options
         are_equal = all(data_equivalence(options[0], one) for one in options[1:])
         require(are_equal, "options", options, "the same for all environments")
@@ -81,20 +84,20 @@ class GymnasiumVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return the attribute, which all environments share, once for each chosen one."""
+        """Return an attribute, which all environments share, once per chosen environment."""
         is_space = attr_name in ("action_space", "observation_space")
         value = getattr(self.vector_env, f"single_{attr_name}" if is_space else attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments; a `UserError` if only some are chosen."""
+        """Set an attribute of all environments; raise a `UserError` if only some are chosen."""
         require(indices is None, "indices", indices, f"None, to set {attr_name!r} of all")
         setattr(self.vector_env.unwrapped, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment once for each chosen environment."""
+        """Call a method of the vector environment once per chosen environment; return results."""
         method = getattr(self.vector_env, method_name)
         return [method(*args, **kwargs) for _ in self._get_indices(indices)]
 
@@ -106,9 +109,9 @@ class GymnasiumVecEnv(VecEnv):
 
 
 class Memory(VecEnvWrapper):
-    """A reaching environment whose observations are followed by a `History` in blocks.
+    """A wrapper that appends past steps, averaged in blocks by a `History`, to each observation.
 
-    It gives a memory of observations and actions to any algorithm, such as plain PPO.
+    It gives any algorithm, such as plain PPO, a memory of observations and actions.
 
     >>> import gymnasium as gym, mmc_gym
     >>> env = GymnasiumVecEnv(gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep"))
@@ -117,7 +120,7 @@ class Memory(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, blocks: Sequence[int]) -> None:
-        """Wrap an environment with Box observations; `blocks` are the steps in each block."""
+        """Wrap an environment with Box observations; `blocks` has the number of steps per block."""
         space, self.blocks = venv.observation_space, tuple(blocks)
         accepted = "Box observations, which MMCReachGoal-v0 has not"
         require(isinstance(space, gym.spaces.Box), "observation_space", space, accepted)
@@ -142,7 +145,7 @@ class Memory(VecEnvWrapper):
     @override
     def step_wait(self) -> VecEnvStepReturn:
         observation, rewards, dones, infos = self.venv.step_wait()
-        seen: Any = observation  # where an episode has ended, the first one of the next
+        seen: Any = observation  # the next episode's first one where an episode has ended
         for index in np.flatnonzero(dones).tolist():
             last, memory = infos[index]["terminal_observation"], self._memory[index]
             now = self._history.observed(last, memory)
@@ -158,7 +161,7 @@ class Memory(VecEnvWrapper):
 
 
 def _row(infos: Info, index: int) -> Info:
-    """Return the info of one environment, out of Gymnasium's arrays with a mask for each."""
+    """Return one environment's info from Gymnasium's vector infos: arrays, each with a mask."""
     row = {}
     for name, values in infos.items():
         mask = infos.get(f"_{name}")

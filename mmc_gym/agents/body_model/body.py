@@ -1,4 +1,4 @@
-"""Body: segment lengths and a turned or mirrored cursor, in closed form, and locked joints.
+"""Body: identify segment lengths and a turned or mirrored cursor in closed form; locked joints.
 
 **Lengths and cursor.**  With the unit vectors u_i of the segments, as complex numbers, the lengths
 ℓ and the way in which the hand x is seen are one linear model,
@@ -7,12 +7,12 @@
 
 Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
 that is turned about the base; one length; all lengths; all lengths and the angle; and each of these
-with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}); and all of them for the
-mirror image of x, where no other fits.  Running sums over the observations,
+with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  If none fits, all are
+tried for the mirror image of x.  Running sums over the observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
 
-give the parameters of each hypothesis in closed form, and the square error that it leaves:
+give the parameters of each hypothesis, and its remaining square error, in closed form:
 
     turned            φ = arg(ℓᵀ h)
     segment j         ℓ_j = (Re h_j − Σ_{k≠j} G_jk ℓ_k) / G_jj
@@ -20,21 +20,21 @@ give the parameters of each hypothesis in closed form, and the square error that
     lengths, turned   2φ = arg(hᵀ G⁻¹ h), then ℓ = G⁻¹ Re(e^{−iφ} h)
     square error      S = s − 2 Re(e^{−iφ} ℓᵀ h) + ℓᵀ G ℓ
 
-(φ of the fourth maximises Re(e^{−iφ} h)ᵀ G⁻¹ Re(e^{−iφ} h).)  The best hypothesis has the least
+(The fourth φ maximises Re(e^{−iφ} h)ᵀ G⁻¹ Re(e^{−iφ} h).)  The best hypothesis minimises
 
     n log((S + ε) / (n + 1)) + k (4 + 2 log(n + 1))
 
-for n observations, k free parameters and the square error ε that is negligible.  This is the
+for n observations, k free parameters and a negligible square error ε.  This is the
 Bayesian information criterion (Schwarz 1978) with a heavier penalty, because neighbouring
-observations are nearly the same.  A turned cursor, or one other length, is mostly identified from
-the first observation.  The mean error that is left is added as an offset, unless it is noise.
+observations are nearly the same.  A turned cursor, or one changed length, is mostly identified from
+the first observation.  The remaining mean error is added as an offset, unless it is noise.
 
 **Changes.**  Sums that remember a second cannot follow a change within a movement.  So a rival
-predicts the hand, too: the best hypothesis with a turn and a gain, m, so that it explains the last
-five hands, log m on a line in time.  While the rival's errors are clearly smaller, the body is
-taken to change: the rival is used, extrapolated to when a command acts, and the sums are forgotten
-fast (a variable forgetting factor; Fortescue et al. 1981).  Noise is no change, because under noise
-a line through five hands predicts worse than the sums.
+also predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits
+the last five hands, with log m on a line in time.  While the rival's errors are clearly smaller,
+the body is taken to change: the rival is used, extrapolated to when a command acts, and the sums
+are forgotten fast (a variable forgetting factor; Fortescue et al. 1981).  Noise is no change,
+because under noise a line through five hands predicts worse than the sums.
 
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
@@ -61,15 +61,15 @@ FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
-LEAST_RATIO, LARGEST_RATIO = 0.25, 3.5  # of accepted lengths and the given ones
+LEAST_RATIO, LARGEST_RATIO = 0.25, 3.5  # of accepted lengths to the given lengths
 # Observations after which hypotheses are compared in every fourth control step only, and mirrored
 # cursors in every 16th.
 FREQUENT = 12
 OFFSET_RATE = 0.1  # rate at which the offset follows the errors
-MIRROR_PARAMETERS = 2  # as which a mirrored cursor counts
+MIRROR_PARAMETERS = 2  # number of free parameters that a mirrored cursor counts as
 CLEAR_ERROR = 0.05**2  # mean square error from which mirrored cursors are tried
 
-SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow
+SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow new errors
 BEGINS_AT, ENDS_AT = 0.25, 0.75  # ratios of these errors at which a change begins and ends
 FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
 LARGEST_TREND = 0.1  # largest trend of the cursor, radians (or share of its gain) in a control step
@@ -78,12 +78,12 @@ NEAR = 0.05  # squared distance from the centre within which errors count as shi
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
-LOCKED_AFTER_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
+LOCKED_AFTER_IF_GIVEN = 0.15  # the same for a joint that is given as lockable
 LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
-HUMAN_SHARE = 0.25  # share of that turn which is enough at a vigour of 0
+HUMAN_SHARE = 0.25  # share of that turn that is enough at a vigour of 0
 CAUTION = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
 REST_TURN = 0.004  # a joint that turns by less rests, radians
-REST_SHARE = 0.12  # and so does one that turns by a smaller share of the commanded turn
+REST_SHARE = 0.12  # share of the commanded turn by which a resting joint may turn besides
 REST_SPEED = 0.25  # a faster joint does not rest, rad/s
 REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
 FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
@@ -101,12 +101,12 @@ class Body(NamedTuple):
     is_mirrored: Bools  # about the first axis
 
     def seen(self, units: Points) -> Points:
-        """Return where the hand is seen if these are the unit vectors of the segments, (n, N)."""
+        """Return where the hand is seen (n,) for unit vectors of the segments (n, N)."""
         place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return _mirrored(place, self.is_mirrored)
 
     def felt(self, seen: Points) -> Points:
-        """Return where the hand really is if it is seen here."""
+        """Return where the hand really is (n,) if it is seen at `seen` (n,)."""
         return (_mirrored(seen, self.is_mirrored) - self.shift) / self.turn
 
 
@@ -118,15 +118,15 @@ class Change(NamedTuple):
     """The last observations, and how well their trend and the best hypothesis predict the next."""
 
     looks: Points  # the last z, see `BodyEvidence`, (n, 5, N + 2)
-    error: Floats  # mean square error of the hypothesis, (n,)
-    error_of_trend: Floats  # and of the trend
-    is_on: Bools  # whether the body changes
+    error: Floats  # mean square error of the best hypothesis, (n,)
+    error_of_trend: Floats  # mean square error of the trend, (n,)
+    is_on: Bools  # whether the body is taken to change, (n,)
 
     def body(self, best: Body, given: Body, steps: Floats | float) -> Body:
-        """Return what the best hypothesis becomes by the trend, control steps after the last look.
+        """Return the best hypothesis, extrapolated to `steps` control steps after the last look.
 
-        With its factors m, which are a turn and a gain, it explains the last hands; log m lies on a
-        line in time.  Near the centre, where m is not known, the rest is a shift.
+        Multiplied by factors m (each a turn and a gain) it explains the last hands; log m lies on
+        a line in time.  Near the centre of the turn m is not known, and the rest becomes a shift.
         """
         units, error = self.looks[..., :-2], self.looks[..., -2]
         hands = error + (given.lengths[:, None] * units).sum(axis=-1)
@@ -143,10 +143,10 @@ class Change(NamedTuple):
     def observe(
         self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools, blur: Floats | float
     ) -> Change:
-        """Return the memory after one more observation, from the evidence before it.
+        """Return the `Change` after one more observation; `evidence` is from before it.
 
-        The trend is judged only where the hypothesis errs by more than usual and than the `blur` of
-        the posture explains, or always errs in the same direction, or where the body changes.
+        The trend is judged only where the best hypothesis errs by more than its usual error and
+        `blur` explain, or always errs in the same direction, or where the body changes.
         """
         zero = np.zeros(len(hand))
         looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
@@ -171,7 +171,7 @@ class Change(NamedTuple):
 
 
 def _of(state: Any, chosen: NDArray[np.intp]) -> Any:
-    """Return the parts of a state that belong to the chosen arms."""
+    """Return a state of the chosen arms alone."""
     if isinstance(state, tuple):
         return type(state)(*(_of(field, chosen) for field in state))
     return state[chosen]
@@ -189,7 +189,7 @@ class BodyEvidence(NamedTuple):
     sums: Points  # Σ w zᵀ, (n, N + 3, N + 2)
     given: Body  # the body as given
     body: Body  # the best hypothesis
-    offset: Points  # mean error that it leaves
+    offset: Points  # mean error of the best hypothesis, (n,)
     scatter: Floats  # mean square of the errors about their mean, (n,)
     best: Body  # the best hypothesis, with the part of the offset that is not noise
     change: Change
@@ -211,10 +211,10 @@ class BodyEvidence(NamedTuple):
         mirrors: bool = True,
         blur: Floats | float = 0.0,
     ) -> BodyEvidence:
-        """Return the evidence after the hand was seen in a posture.
+        """Return the evidence after the hand (n,) was seen in a posture (n, N).
 
-        Changes are followed, or not; the cursor may be mirrored, or not.  `blur` is the mean square
-        error of the hand that follows from that of the posture.
+        `follows`: whether changes are followed.  `mirrors`: whether mirrored cursors are tried.
+        `blur`: mean square error of the hand that is due to errors of the posture.
         """
         units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given.lengths * units).sum(axis=-1)
@@ -241,7 +241,7 @@ class BodyEvidence(NamedTuple):
         return BodyEvidence(age, sums, self.given, body, offset, scatter, best, change)
 
     def after(self, steps: Floats) -> Body:
-        """Return the body as it will be, control steps (n,) after the last observation."""
+        """Return the body predicted for `steps` (n,) control steps after the last observation."""
         changes = np.flatnonzero(self.change.is_on)
         if not len(changes):
             return self.best
@@ -268,20 +268,20 @@ class BodyEvidence(NamedTuple):
 
 
 def _is_given(sums: Points) -> Bools:
-    """Return whether the body is as given: the whole error is worth less than one parameter."""
+    """Return whether the body is as given: no gain in fit could outweigh one more parameter."""
     count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
     given: Bools = count * np.log1p(square / EXACT) < _penalty(sums)
     return given
 
 
 def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
-    """Return products with vectors (..., N), which `@` would sum otherwise in another batch."""
+    """Return matrix-vector products (..., N), rounded alike in every batch, unlike those of `@`."""
     product: NDArray[Any] = (matrices * vectors[..., None, :]).sum(axis=-1)
     return product
 
 
 def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDArray[Any]]:
-    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses for G (…, N, N), h (…, N)."""
+    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses from G (…, N, N), h (…, N)."""
     segments = len(given)
     as_given: Floats = np.broadcast_to(given, h.shape)
     unturned: Points = np.ones(h.shape[:-1], complex)
@@ -304,7 +304,7 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
 
 
 def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
-    """Return the best hypothesis for each arm; a mirrored one if it `mirrors` and no other fits."""
+    """Return the best hypothesis for each arm; mirrored only where `mirrors`, and no other fits."""
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
@@ -323,14 +323,14 @@ def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
 
 
 def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
-    """Return the least criterion for each arm, and the mean square error and body that have it.
+    """Return the least criterion for each arm, and the mean square error and body behind it.
 
-    Rows and columns of `sums` are those of u_1 … u_N, x and 1; letters are those of the file.
+    Rows and columns of `sums` are for u_1 … u_N, x and 1; symbols are those of the module.
     """
     count = sums[:, -1, -1].real
     about_means = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
 
-    # Axes: hypotheses, without a shift and with one, arms, segments.
+    # Axes: hypotheses; without and with a shift; arms; segments.
     moments, is_shifted = np.stack([sums, about_means]), np.arange(2)[:, None]
     g, h, s = moments[..., :-2, :-2].real, moments[..., :-2, -2], moments[..., -2, -2].real
     lengths, turn, parameters = hypotheses(g, h, given)
@@ -365,21 +365,21 @@ class Locks(NamedTuple):
     """Which joints are taken as locked, (n, N)."""
 
     place: Floats  # where each joint is locked, or was last at rest
-    commanded: Floats  # sum of the turns commanded there
-    is_locked: Bools  # whether it is taken as locked
-    has_changed: Bools  # whether that changed with the last observation
-    was_wrong: Bools  # whether it was ever taken as locked, but turned
+    commanded: Floats  # sum of the turns commanded while the joint rests there, radians
+    is_locked: Bools  # whether the joint is taken as locked
+    has_changed: Bools  # whether `is_locked` changed with the last observation
+    was_wrong: Bools  # whether the joint was ever taken as locked, but turned
 
     @classmethod
     def start(cls, joint_angles: Floats) -> Locks:
-        """Return free joints."""
+        """Return locks with all joints free, at joint angles (n, N)."""
         free = np.zeros(joint_angles.shape, bool)
         return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
 
     def identify(
         self, step: LastStep, lockable: tuple[int, ...] = (), vigour: float = 1.0
     ) -> Locks:
-        """Return the locks after a control step; without `lockable` joints any can lock."""
+        """Return the locks after a control step; if `lockable` is empty, any joint can lock."""
         seen, noise = step.after.joint_angles, step.after.deviation
         away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
         moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
