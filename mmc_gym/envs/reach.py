@@ -267,7 +267,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             path=self._targets,
             ghost=self._ghost,
             steps=self._steps,
-            observation=self._late[0] if self._late else None,
+            observation=self._late[-1 - self._now.delay] if self._late else None,
         )
         return self._renderer.draw(scene)
 

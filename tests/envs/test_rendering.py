@@ -193,6 +193,17 @@ def test_every_perturbation_can_be_seen(names):
     assert all(np.abs(one - pictures[0]).max() > 30 for one in pictures[1:])
 
 
+def test_what_is_drawn_as_sensed_is_what_the_agent_observes(monkeypatch):
+    """Also while a delay has not begun."""
+    env, scenes = MMCReachEnv(perturbations=["delay-100-at-0.1"], render_mode="rgb_array"), []
+    monkeypatch.setattr(Renderer, "draw", lambda _, scene: scenes.append(scene))
+    env.reset(seed=0)
+    for _ in range(12):
+        observation, *_ = env.step(np.full(3, 0.5, np.float32))
+        env.render()
+        np.testing.assert_array_equal(scenes[-1].observation, observation)
+
+
 def test_a_window_shows_every_step_at_the_control_rate(monkeypatch):
     clock = Mock()
     monkeypatch.setattr(pygame.time, "Clock", lambda: clock)
