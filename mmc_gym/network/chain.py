@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError, require, unknown
 from mmc_gym.geometry import Floats, node_positions
-from mmc_gym.network.normalizers import Normalizer, whole_blocks
+from mmc_gym.network.normalizers import Normalizer, product, whole_blocks
 
 Pair = tuple[int, int]
 
@@ -103,17 +103,13 @@ class Iteration:
 
     def __call__(self, values: Floats, times: int) -> None:
         """Iterate a state (rows, 2, batch) in place; its clamped rows have their values."""
-        rows, _, batch = values.shape
-        for start in range(0, batch, _BLOCK):
+        for start in range(0, values.shape[2], _BLOCK):
             block = values[:, :, start : start + _BLOCK]
-            size = 2 * block.shape[2]
-            now, following = np.zeros((2, rows, whole_blocks(size)), values.dtype)
-            states = [one[:, :size].reshape(block.shape) for one in (now, following)]  # views
-            states[0][:] = block
+            now, following, *states = matrices_of(block)
             for _ in range(times):
                 if self._is_delayed:
                     self._normalize(states[0])
-                self.operator.dot(now, following)
+                product(self.operator, now, following)
                 now, following = following, now
                 states.reverse()
                 if not self._is_delayed:
@@ -128,6 +124,15 @@ class Iteration:
 
 
 cached_iteration = lru_cache(maxsize=256)(Iteration)
+
+
+def matrices_of(values: Floats) -> list[Floats]:
+    """Return a state (rows, 2, batch) and zeros as matrices for `product`, and both as views."""
+    rows, _, batch = values.shape
+    matrices = list(np.zeros((2, rows, whole_blocks(2 * batch)), values.dtype))
+    states = [matrix[:, : 2 * batch].reshape(values.shape) for matrix in matrices]
+    states[0][:] = values
+    return [*matrices, *states]
 
 
 def linear_operator(

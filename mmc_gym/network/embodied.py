@@ -35,9 +35,9 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.geometry import Floats
-from mmc_gym.network.chain import cached_iteration, triangle_products, velocity_rule
+from mmc_gym.network.chain import cached_iteration, matrices_of, triangle_products, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
-from mmc_gym.network.normalizers import Normalizer
+from mmc_gym.network.normalizers import Normalizer, product
 
 SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its span
 
@@ -79,23 +79,26 @@ def embodied_run(
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     values = network.hold(state, clamps).values
     batch, count = values.shape[2:], network.segment_count
-    now = values.reshape(*values.shape[:2], -1)
+    flat = values.reshape(*values.shape[:2], -1)
     iteration = cached_iteration(network, clamps.rows, values.dtype.char)
     lengths = iteration.lengths
     if body.segment_lengths is not None:
         lengths = _batch_last(body.segment_lengths, batch, values.dtype)
     sensing = _Sensing.of(network, body, batch, values.dtype) if body.weight else None
     rigid = _RigidBodies.of(body, lengths, batch, values.dtype)
+    now, following, *states = matrices_of(flat)
     for _ in range(iterations):
-        following = iteration.operator.dot(now.reshape(len(now), -1)).reshape(now.shape)
+        product(iteration.operator, now, following)
+        states.reverse()
         if sensing is not None:
-            following = sensing.added(following, now)
+            sensing.add(states[0], now)
         if rigid is None:
-            network.normalizer.normalize_rows(following[:count], lengths)
+            network.normalizer.normalize_rows(states[0][:count], lengths)
         else:
-            following[:count] = rigid.nearest(following[:count], network.normalizer)
-        now = following
-    return MMCState(now.reshape(values.shape), count)
+            states[0][:count] = rigid.nearest(states[0][:count], network.normalizer)
+        now, following = following, now
+    flat[:] = states[0]
+    return MMCState(values, count)
 
 
 class _Sensing(NamedTuple):
@@ -118,15 +121,14 @@ class _Sensing(NamedTuple):
         segments = _batch_last(body.sensed, batch, dtype, 2)
         return cls(segments, to_mean, share, network.dynamics != "kinematic")
 
-    def added(self, proposed: Floats, state: Floats) -> Floats:
-        """Return what an iteration proposes for a state, with the sensed posture in the mean."""
-        count = len(self.segments)
-        mean = self.to_mean.dot(state.reshape(len(state), -1)).reshape(self.segments.shape)
+    def add(self, proposed: Floats, matrix: Floats) -> None:
+        """Put the sensed posture into the mean of what is proposed for a state's `matrix`."""
+        count, _, batch = self.segments.shape
+        mean = product(self.to_mean, matrix)[:, : 2 * batch].reshape(self.segments.shape)
         change = self.share * (self.segments - mean)
-        parts = [proposed[:count] + change, proposed[count:]]
+        proposed[:count] += change
         if self.is_dynamic:
-            parts[1:] = [proposed[count:-count], proposed[-count:] + change]
-        return np.concatenate(parts)
+            proposed[-count:] += change
 
 
 class _RigidBodies(NamedTuple):

@@ -31,13 +31,26 @@ from mmc_gym.geometry import Floats
 ShippedNormalizer = Literal["accurate", "paper"]
 WEIGHTS = Path(__file__).parent / "weights"
 
-# A library for matrices sums the columns that are left over from its blocks in another order.
-_BLOCK = 8
+# A library for matrices sums the columns that are left over from its blocks in another order, and
+# the rows, too, if it shares them out among threads: OpenBLAS does beyond so many multiplications.
+_BLOCK, _MOST_UNSHARED = 8, 2**18
 
 
 def whole_blocks(columns: int) -> int:
-    """Return the columns with which a matrix product gives each the same bits in any batch."""
+    """Return the columns with which `product` gives each the same bits in any batch."""
     return -(-columns // _BLOCK) * _BLOCK
+
+
+def product(matrix: Floats, columns: Floats, out: Floats | None = None) -> Floats:
+    """Return matrix @ columns; in float64 each of `whole_blocks` has the same bits among any."""
+    step = max(_BLOCK, _MOST_UNSHARED // matrix.size // _BLOCK * _BLOCK)
+    if columns.shape[1] <= step:
+        return matrix.dot(columns, out)
+    out = np.empty((len(matrix), columns.shape[1]), columns.dtype) if out is None else out
+    for start in range(0, columns.shape[1], step):
+        part = slice(start, start + step)
+        np.matmul(matrix, columns[:, part], out=out[:, part])
+    return out
 
 
 class Normalizer(ABC):
@@ -150,7 +163,7 @@ class LearnedNormalizer(Normalizer):
                 for weight, bias in zip(self.weights, self.biases, strict=True)
             ]
         for weight, bias in self._layers[dtype.char]:
-            inputs = weight @ inputs
+            inputs = product(weight, inputs)
             inputs += bias
             np.tanh(inputs, out=inputs)
             outputs.append(inputs)

@@ -43,8 +43,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import require, require_array
 from mmc_gym.geometry import Floats
-from mmc_gym.network.chain import triangle_products
+from mmc_gym.network.chain import matrices_of, triangle_products
 from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.normalizers import product
 
 CORRECTIONS = 4  #: steps that correct the gain of an iteration
 
@@ -101,7 +102,8 @@ def timed_step(
     fine = shares.shape in ((), batch) and bool(((shares >= 0) & (shares <= 1)).all())
     require(fine, "share", share, accepted)
     shares = np.broadcast_to(shares, batch).reshape(-1)
-    change = -np.tensordot(_coupling(count).astype(values.dtype), values, 1)  # −∂₂∂₂ᵀ v
+    vectors, products, _, change = matrices_of(values)
+    product(-_coupling(count).astype(values.dtype), vectors, products)  # the change is −∂₂∂₂ᵀ v
     lengths = np.array(network.segment_lengths, dtype=values.dtype)[:, None]
     hand = values[:count].sum(axis=0)
     wanted = shares * np.hypot(*(values[-1] - hand))

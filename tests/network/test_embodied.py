@@ -39,6 +39,26 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
         np.testing.assert_array_equal(actual.values, expected.values)
 
 
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+def test_an_arm_has_the_same_bits_in_any_batch(dynamics, normalizer):
+    network = MMCNetwork((1.0, 0.8, 1.2), dynamics=dynamics, normalizer=normalizer)
+    angles, target, rng = postures(0, 19), targets(1, 19), np.random.default_rng(2)
+    lengths, locked = rng.uniform(0.5, 1.5, (19, 3)), rng.random((19, 3)) < 0.4
+    sensed = rng.uniform(-1, 1, (19, 3, 2))
+    sensing = {"segment_lengths": lengths, "sensed": sensed, "weight": 4.0}
+    locking = {"locked": locked, "joint_angles": angles}
+    for known in ({"segment_lengths": lengths}, sensing, locking, sensing | locking):
+
+        def end(arms, known=known):
+            state = network.state_from_joint_angles(angles[arms])
+            part = {k: v if k == "weight" else v[arms] for k, v in known.items()}
+            return run_to(network, state, target[arms], Embodiment(**part), 5).values
+
+        together = end(slice(None))
+        for arms in (slice(1), slice(2), slice(3), slice(13), slice(-7, None)):
+            np.testing.assert_array_equal(end(arms), together[..., arms])
+
+
 def test_each_arm_of_a_batch_may_have_its_own_lengths(normalizer):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
     given = MMCNetwork(normalizer=normalizer)

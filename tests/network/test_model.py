@@ -166,12 +166,17 @@ def test_batches_have_any_axes_and_broadcast():
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
 def test_an_arm_has_the_same_bits_in_any_batch(count, normalizer):
     network = MMCNetwork((1.0,) * count, normalizer=normalizer, dynamics="paper")
+    timed = MMCNetwork((1.0,) * count, normalizer=normalizer)
     size = 2 * chain._BLOCK + 3
     segments, targets = random_segments((size, count)), random_targets(size)
     values = moved(network, segments, targets, 5).values
+    rest = timed.state_from_segments(segments).values
+    steps = timed_step(timed, MMCState(rest, count), targets, 0.1).values
     for part in (slice(1), slice(2), slice(3), slice(13), slice(-7, None)):
         some = moved(network, segments[part], targets[part], 5).values
         np.testing.assert_array_equal(some, values[..., part])
+        step = timed_step(timed, MMCState(rest[..., part], count), targets[part], 0.1)
+        np.testing.assert_array_equal(step.values, steps[..., part])
 
 
 def test_single_precision_is_kept_and_close(normalizer, iterate):
