@@ -25,10 +25,10 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint type imports format packages docs paper speed clean
+.PHONY: help demo test test-all test-processors lint type imports format packages docs paper speed clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' Makefile
 
 demo: $(PACKAGE_READY) ## install mmc-gym into .venv and compare the shipped policies
 	$(BIN)/mmc-gym compare $(ARGS)
@@ -41,6 +41,16 @@ test: lint type imports ## install the dev extra into .venv, then lint, types, i
 test-all: $(DEV_READY) ## what `make test` leaves out: site, browser, Ray, studies, whole trainings
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow $(ARGS)
 	$(NEXT)
+
+# Processors without AVX-512 take OpenBLAS's kernels for Haswell, and numba's code for a generic one
+# has no AVX at all.  No test compares the two with each other, so one run does for both.  Nor does
+# a result depend on the number of threads.
+test-processors: export OPENBLAS_CORETYPE = Haswell
+test-processors: export NUMBA_CPU_NAME = generic
+test-processors: export OPENBLAS_NUM_THREADS = 2
+test-processors: $(DEV_READY) ## the quick tests of network, agents and body as on other processors
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(ARGS) \
+	  tests/network tests/agents tests/body
 
 lint: $(DEV_READY) ## ruff: rules and format
 	$(BIN)/ruff check
