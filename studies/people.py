@@ -47,7 +47,11 @@ MOVEMENTS = {  # measures, and the scenarios that they are taken in
     "paper": ("posture_variability",),
 }
 EXPERIMENTS = {  # measures, and the experiments that they are taken in
-    "rotation-30": ("A_f", "A_s", "B_f", "B_s", "rate", "final_adaptation", "after_effect"),
+    "rotation-30": (
+        *("A_f", "A_s", "B_f", "B_s"),
+        *("A", "B", "rate", "final_adaptation"),
+        "after_effect",
+    ),
     "curl-field-60": ("deviation", "rate", "final_adaptation", "after_effect"),
     "savings-30": ("savings",),
     "retention-30": ("retention",),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mmc_gym.envs.perturbations import Channel, ErrorClamp, ForceField, NoFeedback
 from mmc_gym.experiments.experiment import PlannedTrial, has
 from mmc_gym.experiments.fits import (
+    ONE_STATE,
     TWO_STATES,
     choose_states,
     fit_exponential,
@@ -44,6 +45,7 @@ QUANTITIES = (
     Quantity(name="clamp_asymptote", label="asymptote in clamps", unit=OF_ADAPTATION),
     Quantity(name="latency", label="latency of corrections", unit="s", decimals=3),
     Quantity(name="gain", label="gain of corrections"),
+    *(Quantity(name=name, label=f"{name} of one state", decimals=3) for name in ONE_STATE),
     *(Quantity(name=name, label=f"{name} of two states", decimals=3) for name in TWO_STATES),
 )
 """The measures of `measure_learning`; `OF_ADAPTATION` stands for the unit of the adaptation."""
@@ -102,7 +104,7 @@ class Learning:
 def measure_learning(of: Learning) -> dict[str, Floats]:
     """Return the `QUANTITIES` by name, a number for each curve; NaN where there is nothing to see.
 
-    - A_f to B_s: of two states, or of one (A_s and B_s, with B_f = 0) if it fits better by BIC.
+    - A and B: of one state, if it fits best by BIC; A_f to B_s: of two states, if they do.
     - rate: of the exponential fit to the first exposure; savings: that of the second over it, see
       Zarahn et al. (2008), J. Neurophysiol. 100, 2537.
     - final_adaptation: mean of the last 10 trials of the first exposure.
@@ -121,7 +123,7 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
     if exposed or len(clamped):
         own = np.where(np.isin(of.kinds, ("transfer", "jump")), math.nan, of.adaptation)
         states = choose_states(own, of.perturbations, of.clamps)
-        found |= zip(TWO_STATES, np.moveaxis(states, -1, 0), strict=True)
+        found |= zip(ONE_STATE + TWO_STATES, np.moveaxis(states, -1, 0), strict=True)
     curves = tuple(range(of.errors.ndim - 1))
     is_shown = np.abs(of.errors[..., clamped]).max(axis=curves, initial=0) > 0.1
     found["clamp_asymptote"] = _level(of, clamped[is_shown][-AT_END:])

@@ -35,11 +35,11 @@ from mmc_gym.measures.episode import Floats
 Model: TypeAlias = Literal[
     "nothing", "correction", "one-state", "two-state", "exponential", "gaussian"
 ]
-TWO_STATES = ("A_f", "A_s", "B_f", "B_s")
+ONE_STATE, TWO_STATES = ("A", "B"), ("A_f", "A_s", "B_f", "B_s")
 PARAMETERS: dict[Model, tuple[str, ...]] = {
     "nothing": (),  # y = 0
     "correction": ("gain",),  # y = gain p, or the clamp's error: within the movement, nothing lasts
-    "one-state": ("A", "B"),
+    "one-state": ONE_STATE,
     "two-state": TWO_STATES,
     "exponential": ("asymptote", "start", "rate"),
     "gaussian": ("offset", "height", "centre", "width"),
@@ -200,11 +200,11 @@ def fit_curve(
 def choose_states(
     curves: Floats, perturbations: ArrayLike, clamps: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return `TWO_STATES` of each curve, (..., 4), with as many states as the first one has.
+    """Return `ONE_STATE` and `TWO_STATES` of each curve, (..., 6), NaN for the model not chosen.
 
     The first of the curves y (..., trials), such as a mean before its resamples, decides by BIC.
-    One state is given as A_s and B_s, with B_f = 0 and A_f NaN.  All are NaN if nothing was
-    learned, or nothing lasts beyond the movement.  For p and clamps see `fit_curve`.
+    None are if nothing was learned, or nothing lasts beyond the movement.  For p and clamps see
+    `fit_curve`.
     """
     flat = curves.reshape(-1, curves.shape[-1])
     kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
@@ -212,12 +212,12 @@ def choose_states(
     fits = [fit_curve(flat[0], kind, perturbation=p, clamp=e) for kind in kinds]
     known = [one for one in fits if not math.isnan(one.bic)]
     best = min(known, key=lambda one: one.bic).model if known else "nothing"
-    found = np.full((len(flat), 4), math.nan)
+    found = np.full((len(flat), 6), math.nan)
     if best == "one-state":
-        found[:, [1, 3]], found[:, 2] = fit_states(flat, p, e, states=1), 0.0
+        found[:, :2] = fit_states(flat, p, e, states=1)
     elif best == "two-state":
-        found = fit_states(flat, p, e, states=2)
-    return found.reshape(*curves.shape[:-1], 4)
+        found[:, 2:] = fit_states(flat, p, e, states=2)
+    return found.reshape(*curves.shape[:-1], 6)
 
 
 def fit_states(

@@ -135,7 +135,14 @@ def test_measures_of_an_experiment():
     assert found["retention"] == pytest.approx(curve[180:184].mean() / curve[170:180].mean())
     assert found["savings"] > 1.0  # the slow state is still there
     assert [found[name] for name in TWO_STATES] == pytest.approx(list(LEARNER), abs=2e-3)
-    assert np.isnan([found["width"], found["clamp_asymptote"]]).all()
+    assert np.isnan([found[name] for name in ("width", "clamp_asymptote", "A", "B")]).all()
+
+
+def test_a_learner_of_one_state_has_parameters_of_one_state():
+    one_state = TwoStates(A_f=0.0, A_s=0.97, B_f=0.0, B_s=0.1)
+    found = measure_learning(learning_in((np.r_[NONE, TURN, NONE], np.nan), one_state))
+    assert [found["A"], found["B"]] == pytest.approx([0.97, 0.1], abs=1e-4)
+    assert np.isnan([found[name] for name in TWO_STATES]).all()
 
 
 @pytest.mark.parametrize("after", [1, 3])
