@@ -19,6 +19,7 @@ least BIC, n ln(S/n) + k ln n, is best: n trials, sum of square errors S, k para
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -29,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import leastsq
 from scipy.special import expit, logit
 
-from mmc_gym._errors import UserError, require_choice, shown
+from mmc_gym._errors import UserError, require, require_choice, shown
 from mmc_gym.measures.episode import Floats
 
 Model: TypeAlias = Literal[
@@ -89,10 +90,10 @@ def fit(
     """Fit models to the curves in a table, and tell which is best.
 
     Args:
-        table: a row for each trial, in the order of the trials.
+        table: a row for each trial, in any order.
         model: one or more of `PARAMETERS`.
-        by: column or columns, each value of which has a fit of its own, such as "subject".  None:
-            the mean of y over the rows with one x is fitted.
+        by: column or columns, each value of which has a fit of its own, such as "subject"; a trial
+            stands once in it.  None: the mean of y over the rows with one x is fitted.
         y: column of the adaptation; this and the others are those of `fit_curve`.
         perturbation: column of p.
         clamp: column of the error that is shown in error clamps.
@@ -104,11 +105,12 @@ def fit(
         r_squared, bic, trials and best.
 
     Raises:
-        UserError: if there is no such model or column.
+        UserError: if there is no such model, no such column of numbers, or a trial stands twice.
     """
     models = [model] if isinstance(model, str) else list(model)
     for one in models:
         require_choice("model", one, PARAMETERS)
+    require(len(table) > 0, "rows of the table", 0, "at least one")
     is_moved = any("state" in one or one == "correction" for one in models)
     states = {"perturbation": perturbation, "clamp": clamp, "error": error} if is_moved else {}
     columns = {"y": y, "x": x, **{name: one for name, one in states.items() if one}}
@@ -116,17 +118,27 @@ def fit(
     for column in [*columns.values(), *names]:
         if column not in table:
             raise UserError(f"the table must have a column {shown(column)}, got {[*table.columns]}")
+    trials = pd.DataFrame({name: _numbers(one, table[one]) for name, one in columns.items()})
     if not names:
-        wanted = list(dict.fromkeys(columns.values()))
-        table = table[wanted].groupby(x, as_index=False, dropna=False).mean(numeric_only=True)
-    rows = []
-    for group, own in table.groupby(names, sort=False) if names else [((), table)]:
-        arrays = {name: own[column].to_numpy(np.float64) for name, column in columns.items()}
-        fits = [fit_curve(model=one, **arrays) for one in models]
+        trials = trials.groupby("x", as_index=False, dropna=False).mean()
+    keys = [table[name].to_numpy() for name in names]
+    rows, doubts = [], []
+    for group, own in trials.groupby(keys, sort=False, dropna=False) if keys else [((), trials)]:
+        labels = dict(zip(names, group, strict=True))
+        if any(one != "gaussian" for one in models):
+            own = own.sort_values("x")
+            wrong = own["x"][own["x"].duplicated() | own["x"].isna()].tolist()
+            where = ", ".join(f"{name} {label}" for name, label in labels.items()) or "the table"
+            require(not wrong, x, wrong, f"a number that stands once in {where}; by= splits curves")
+        curve = {name: own[name].to_numpy() for name in columns}
+        fits = [_fit(one, **curve) for one in models]
+        doubts += [_doubt(fitted, **curve) for fitted in fits]
         least = min((one.bic for one in fits if one.bic < math.inf), default=math.nan)
         for found in fits:
             facts = found._asdict() | found.parameters | {"best": found.bic == least}
-            rows.append(dict(zip(names, group, strict=True)) | facts)
+            rows.append(labels | facts)
+    for doubt in dict.fromkeys(filter(None, doubts)):
+        warnings.warn(doubt, stacklevel=2)
     parameters = dict.fromkeys(name for one in models for name in PARAMETERS[one])
     ends = ["mean_square", "r_squared", "bic", "trials", "best"]
     return pd.DataFrame(rows)[[*names, "model", *parameters, *ends]]
@@ -143,6 +155,8 @@ def fit_curve(
 ) -> Fit:
     """Fit a model to one curve; the parameters are NaN if there is too little to fit.
 
+    Warn if y seems to have another sign or unit than the perturbation.
+
     Args:
         y: adaptation, (trials,); NaNs are left out.
         model: one of `PARAMETERS`.
@@ -158,38 +172,74 @@ def fit_curve(
     {'A': 0.98, 'B': 0.08}
     """
     require_choice("model", model, PARAMETERS)
-    curve = np.asarray(y, dtype=np.float64)
-    places = np.arange(len(curve)) if x is None else np.asarray(x, dtype=np.float64)
-    known = np.isfinite(curve)
+    given = {"y": y, "perturbation": perturbation, "clamp": clamp, "error": error, "x": x}
+    curve = {name: _numbers(name, one) for name, one in given.items() if one is not None}
+    shape = curve["y"].shape
+    require(len(shape) == 1 and shape != (0,), "y", shape, "a curve of shape (trials,)")
+    for name, numbers in curve.items():
+        is_alike = numbers.shape in ((), shape)
+        require(is_alike, name, numbers.shape, f"a number, or of shape {shape} as y")
+        curve[name] = np.broadcast_to(numbers, shape)
+    fitted = _fit(model, **curve)
+    if doubt := _doubt(fitted, **curve):
+        warnings.warn(doubt, stacklevel=2)
+    return fitted
+
+
+def _numbers(name: str, values: Any) -> Floats:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError) as error:  # text, or lists of uneven lengths
+        raise UserError(f"{name} must be numbers: {error}") from None
+
+
+def _doubt(fitted: Fit, y: Floats, **given: Floats) -> str:
+    """Return what sign or unit y seems to have, if not that of p; else an empty text."""
+    p, clamp = (given.get(name, np.full(y.shape, math.nan)) for name in ("perturbation", "clamp"))
+    sizes = np.nan_to_num(np.where(np.isnan(clamp), p, clamp))
+    if "state" not in fitted.model or math.isnan(fitted.r_squared) or not sizes.any():
+        return ""
+    ratio = math.sqrt(np.nanmean(y**2) / np.mean(sizes**2))
+    for one, other, unit in (("radians", "degrees", 1), ("degrees", "radians", -1)):
+        if 0.2 < ratio / math.radians(1) ** unit < 1.25:
+            return f"y seems to be in {one} and the perturbation in {other}, by their sizes"
+    if fitted.r_squared < LEAST_EXPLAINED < _fit(fitted.model, -y, **given).r_squared:
+        return "y seems to have the other sign: what compensates the perturbation is positive"
+    return ""
+
+
+def _fit(model: Model, y: Floats, **given: Floats) -> Fit:
+    """Fit a model to a curve without checks; all that is given has the shape of y."""
+    p, clamp = (given.get(name, np.full(y.shape, math.nan)) for name in ("perturbation", "clamp"))
+    known = np.isfinite(y)
     if model in ("one-state", "two-state"):
-        shown_error = np.nan_to_num(error) if error is not None else clamp
-        p, e = (np.broadcast_to(one, curve.shape) for one in (perturbation, shown_error))
-        found = fit_states(curve[None], p, e, states=2 if model == "two-state" else 1)
+        e = np.nan_to_num(given["error"]) if "error" in given else clamp
+        found = fit_states(y[None], p, e, states=2 if model == "two-state" else 1)
         logits = np.clip(logit(found), -_FARTHEST, _FARTHEST)
         predicted = _simulate(logits, p, e)[0]
         values = found[0]
     elif model == "correction":
-        held = np.broadcast_to(np.asarray(clamp, np.float64), curve.shape)
-        seen = np.nan_to_num(np.where(np.isnan(held), perturbation, held))
+        seen = np.nan_to_num(np.where(np.isnan(clamp), p, clamp))
         scale = float((seen[known] ** 2).sum())
-        values = np.array([seen[known] @ curve[known] / scale if scale else math.nan])
+        values = np.array([seen[known] @ y[known] / scale if scale else math.nan])
         predicted = values * seen
     elif model == "exponential":
-        values = fit_exponential(curve)[[0, 2, 1]]
-        fall = np.exp(-values[2] * np.arange(len(curve)))
+        values = fit_exponential(y)[[0, 2, 1]]
+        fall = np.exp(-values[2] * np.arange(len(y)))
         predicted = values[0] + (values[1] - values[0]) * fall
     elif model == "gaussian":
-        values = fit_gaussian(curve, places)
+        places = given.get("x", np.arange(len(y)))
+        values = fit_gaussian(y, places)
         offset, height, centre, width = values
         predicted = offset + height * _bell(places, centre, width)
     else:
-        values, predicted = np.empty(0), np.zeros_like(curve)
-    count, square = int(known.sum()), float(((predicted - curve)[known] ** 2).sum())
+        values, predicted = np.empty(0), np.zeros_like(y)
+    count, square = int(known.sum()), float(((predicted - y)[known] ** 2).sum())
     mean_square = r_squared = bic = math.nan
     if count > len(values) and not math.isnan(square):
-        spread = float(np.var(curve[known])) * count
+        spread = float(np.var(y[known])) * count
         # Of exact curves, few parameters win.
-        least = _EXACT * float((curve[known] ** 2).sum()) + 1e-300
+        least = _EXACT * float((y[known] ** 2).sum()) + 1e-300
         mean_square = square / count
         r_squared = 1 - square / spread if spread > 0 else math.nan
         bic = count * math.log((square + least) / count) + len(values) * math.log(count)
@@ -209,7 +259,7 @@ def choose_states(
     flat = curves.reshape(-1, curves.shape[-1])
     kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
     p, e = (np.broadcast_to(one, flat.shape[1:]) for one in (perturbations, clamps))
-    fits = [fit_curve(flat[0], kind, perturbation=p, clamp=e) for kind in kinds]
+    fits = [_fit(kind, flat[0], perturbation=p, clamp=e) for kind in kinds]
     known = [one for one in fits if not math.isnan(one.bic)]
     best = min(known, key=lambda one: one.bic).model if known else "nothing"
     found = np.full((len(flat), 6), math.nan)

@@ -126,6 +126,103 @@ def test_a_table_has_a_fit_for_each_subject_and_model_or_of_the_mean():
         fit(table, "two-stat", **columns)
 
 
+@pytest.fixture
+def table():
+    """Three subjects of one state in order of their trials."""
+    perturbation = np.r_[NONE[:20], TURN[:60]]
+    rows = {"trial": np.arange(80), "perturbation": perturbation}
+    of_each = [
+        simulate_learners(ONE_STATE._replace(B_s=rate), perturbation)[0][0]
+        for rate in (0.08, 0.1, 0.12)
+    ]
+    tables = [
+        pd.DataFrame({"subject": who, "adaptation": y, **rows}) for who, y in enumerate(of_each)
+    ]
+    return pd.concat(tables, ignore_index=True)
+
+
+@pytest.mark.parametrize("by", ["subject", None])
+def test_the_order_of_rows_changes_no_fit(table, by):
+    shuffled = table.sample(frac=1, random_state=0)
+    found, expected = (fit(one, "one-state", by=by) for one in (shuffled, table))
+    assert found["r_squared"].min() > 0.999
+    if by:
+        found = found.sort_values("subject", ignore_index=True)
+    pd.testing.assert_frame_equal(found, expected)
+
+
+def test_probes_of_one_direction_may_stand_more_than_once_in_a_gaussian():
+    x = np.repeat(np.arange(-90.0, 91, 22.5), 2)
+    rows = {"trial": x, "adaptation": 20 * np.exp(-(x**2) / (2 * 38**2)), "subject": 0}
+    (width,) = fit(pd.DataFrame(rows), "gaussian", by="subject")["width"]
+    assert width == pytest.approx(38, rel=1e-3)
+
+
+def test_rows_without_a_subject_are_a_curve_of_their_own(table):
+    table["subject"] = table["subject"].where(table["subject"] != 1)
+    assert fit(table, "one-state", by="subject")["trials"].tolist() == [80, 80, 80]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"adaptation": lambda rows: -rows["adaptation"]}, "y seems to have the other sign"),
+        ({"perturbation": lambda rows: -rows["perturbation"]}, "y seems to have the other sign"),
+        ({"adaptation": lambda rows: np.radians(rows["adaptation"])}, "y seems to be in radians"),
+        (
+            {"perturbation": lambda rows: np.radians(rows["perturbation"])},
+            "y seems to be in degrees",
+        ),
+    ],
+)
+def test_another_sign_or_unit_is_said_in_one_line(table, change, said):
+    with pytest.warns(UserWarning, match=said) as warned:
+        fit(table.assign(**change), by="subject")
+    assert len(warned) == 1 and warned[0].filename == __file__
+    y, perturbation = (table.assign(**change)[name] for name in ("adaptation", "perturbation"))
+    with pytest.warns(UserWarning, match=said):
+        fit_curve(y[:80], "two-state", perturbation=perturbation[:80])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: pd.concat([rows, rows[:2]]), r"once in subject 0; .*, got \[0.0, 1.0\]"),
+        (
+            lambda rows: rows.assign(trial=rows["trial"].replace(3, np.nan)),
+            r"trial must be .* \[nan",
+        ),
+        (lambda rows: rows[:0], "rows of the table must be at least one, got 0"),
+        (lambda rows: rows.assign(adaptation="far"), "adaptation must be numbers: .* 'far'"),
+    ],
+)
+@pytest.mark.parametrize("by", ["subject", None])
+def test_a_table_that_has_no_curves_is_refused(table, change, message, by):
+    if by is None and "once in subject" in message:
+        pytest.skip("trials of all subjects are averaged")
+    with pytest.raises(UserError, match=message):
+        fit(change(table), by=by)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"y": []}, r"y must be a curve of shape \(trials,\), got \(0,\)"),
+        ({"y": 3.0}, r"y must be a curve of shape \(trials,\), got \(\)"),
+        ({"y": ["far", "near"]}, "y must be numbers: .* 'far'"),
+        ({"y": [1.0, [2.0, 3.0]]}, "y must be numbers: "),
+        (
+            {"perturbation": TURN},
+            r"perturbation must be a number, or of shape \(3,\) as y, got \(120,",
+        ),
+        ({"model": "gaussian", "x": [1, 2]}, r"x must be a number, or of shape"),
+    ],
+)
+def test_what_is_no_curve_is_refused(arguments, message):
+    with pytest.raises(UserError, match=message):
+        fit_curve(**{"y": [1.0, 2.0, 3.0], **arguments})
+
+
 def test_an_exponential_is_found_again_and_noise_has_none():
     rates = np.array([0.01, 0.1, 0.7])
     curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
