@@ -6,6 +6,7 @@ Importing it registers the environments with Gymnasium.  Everything else is load
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mmc_gym import _interrupts as _interrupts  # first, as the others take a while to import
 from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.envs import make, make_vec
 

@@ -15,6 +15,7 @@ import os
 import pickle
 import platform
 import re
+import signal
 import sys
 import threading
 import time
@@ -183,10 +184,15 @@ class _Processes:
         )
 
     def submit(self, packed: bytes) -> Any:
-        with suppress(BrokenProcessPool):
+        mask = getattr(signal, "pthread_sigmask", lambda *_: ())  # Windows has none
+        before = mask(signal.SIG_BLOCK, {signal.SIGINT})  # of workers that start: we end them
+        try:
+            with suppress(BrokenProcessPool):
+                return self._executor.submit(_run_packed, packed)
+            self._executor = self._start()
             return self._executor.submit(_run_packed, packed)
-        self._executor = self._start()
-        return self._executor.submit(_run_packed, packed)
+        finally:
+            mask(signal.SIG_SETMASK, before)
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         return wait(calls, return_when=FIRST_COMPLETED).done

@@ -4,7 +4,7 @@
 
 A mistake of the user ends with one line on stderr and status 2, a failed cell of a grid with one
 line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
-environment each ends with the traceback instead.
+environment each ends with the traceback instead, except Ctrl-C while modules are imported.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import tyro
 from typing_extensions import override
 from tyro.conf import Positional
 
+from mmc_gym import _interrupts
 from mmc_gym._console import make_console, print_written, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
 from mmc_gym._files import import_modules, read_yaml, read_yaml_file
@@ -481,21 +482,25 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
     try:
         try:
+            _interrupts.is_running = True
             _run(list(sys.argv[1:] if arguments is None else arguments))
         finally:
+            _interrupts.is_running = False
             _flush()
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         raise SystemExit(1) from None
-    except (KeyboardInterrupt, UserError, OSError, CellError) as error:
-        if os.environ.get(TRACEBACK):
-            raise
+    except (Exception, KeyboardInterrupt) as error:
         message, status = str(error), 2
-        if isinstance(error, OSError) and error.strerror:
-            message = f"{error.filename}: {error.strerror}"
-        elif isinstance(error, KeyboardInterrupt):
+        if isinstance(error, KeyboardInterrupt) or _interrupts.has_come:
             message, status = "interrupted", 130
         elif isinstance(error, CellError):
             message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1
+        elif isinstance(error, OSError) and error.strerror:
+            message = f"{error.filename}: {error.strerror}"
+        elif not isinstance(error, UserError | OSError):
+            raise
+        if os.environ.get(TRACEBACK):
+            raise
         _print_line(message)
         raise SystemExit(status) from error
 

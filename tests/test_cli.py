@@ -1,6 +1,7 @@
 """The commands, as a user types them."""
 
 import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -12,6 +13,7 @@ import pytest
 from mmc_gym._grid import CellError
 from mmc_gym.cli import _commands, main
 
+ROOT = Path(__file__).resolve().parents[1]
 ENV_KWARGS = ["compare", "--agents", "mmc", "--env-kwargs"]
 
 
@@ -55,6 +57,34 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=ValueError("a defect")))
     with pytest.raises(ValueError, match="a defect"):  # not the user's: it has its traceback
         main(["report"])
+
+
+def heed_ctrl_c():
+    """Let a child be interrupted, also where its parents ignore Ctrl-C (jobs in the background)."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("module", ["gymnasium", "tyro", "pyarrow"])
+@pytest.mark.parametrize("becomes", ["KeyboardInterrupt", "ImportError"])
+def test_an_interruption_while_importing_is_one_line(module, becomes, tmp_path):
+    # As Ctrl-C in the middle of an import, of which some libraries make another error.
+    code = "import os, signal\n"
+    code += "try: os.kill(os.getpid(), signal.SIGINT), signal.pause()\n"
+    code += f"except KeyboardInterrupt: raise {becomes} from None\n"
+    (tmp_path / f"{module}.py").write_text(code)
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    command = [sys.executable, "-m", "mmc_gym.cli", "benchmark", "--out", str(tmp_path / "store")]
+    run = {"start_new_session": True, "preexec_fn": heed_ctrl_c, "timeout": 120}
+    done = subprocess.run(command, capture_output=True, text=True, env=paths, **run)
+    assert (done.returncode, done.stderr) == (130, "mmc-gym: interrupted\n")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_a_script_that_imports_the_package_has_its_own_interruptions():
+    code = "import signal, mmc_gym, mmc_gym.cli\n"
+    code += "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, preexec_fn=heed_ctrl_c)
 
 
 @pytest.mark.parametrize(
