@@ -10,7 +10,7 @@ import functools
 import inspect
 import math
 import sys
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from numbers import Integral, Real
@@ -222,6 +222,23 @@ def require_choice(name: str, value: object, known: Iterable[object]) -> None:
     known = tuple(known)
     if not (value is None or isinstance(value, str)) or value not in known:
         raise unknown(name, value, known)
+
+
+def require_names(name: str, value: Any, known: Iterable[object]) -> tuple[str, ...]:
+    """Return one name, or several, as a tuple; all must be among the known ones."""
+    require(isinstance(value, Iterable), name, value, "a name, or several")
+    names, known = (value,) if isinstance(value, str) else tuple(value), tuple(known)
+    for each in names:
+        require_choice(name, each, known)
+    return names
+
+
+def require_arguments(name: str, value: Any) -> dict[str, Any]:
+    """Return arguments by name as a dict; None are none."""
+    value = {} if value is None else value
+    is_named = isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
+    require(is_named, name, value, "a mapping of names to values")
+    return dict(value)
 
 
 @dataclass_transform(frozen_default=True)

@@ -46,10 +46,16 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
     return path
 
 
+def require_path(name: str, value: Any) -> Path:
+    """Return the path of a file or folder, which need not exist."""
+    fine = isinstance(value, str | Path) and "\0" not in str(value)
+    require(fine, name, value, "a path")
+    return Path(value)
+
+
 def check_folder(path: Path | str, name: str) -> Path:
     """Return the path of a folder, which need not exist but must not be a file or lie in one."""
-    require(isinstance(path, str | Path), name, path, "the path of a folder")
-    path = Path(path)
+    path = require_path(name, path)
     existing = next((part for part in (path, *path.parents) if part.exists()), Path())
     if not existing.is_dir():
         raise UserError(f"{name} must be a folder, got the file {str(existing)!r}")

@@ -18,7 +18,7 @@ from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from mmc_gym._errors import missing, require, require_whole
+from mmc_gym._errors import missing, require, require_arguments, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve, resolve_all
@@ -65,7 +65,7 @@ def record(
     shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
     found = resolve_all(several, every_training=False, **shared)
     seeds, every = episode_seeds(seed, episodes), require_whole("every", every)
-    given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
+    given = require_arguments("env_kwargs", env_kwargs) | {"render_mode": "rgb_array"}
     scenario = parse_environment(env, given, interface)
     with ExitStack() as stack:
         played: dict[str, tuple[Predictor, RenderCollection[Any, Any]]] = {}
@@ -190,7 +190,8 @@ def play(
     """
     open_display(must_be_seen=True)
     try:
-        given = {**(env_kwargs or {}), "render_mode": "human", "max_episode_steps": -1}
+        given = require_arguments("env_kwargs", env_kwargs)
+        given |= {"render_mode": "human", "max_episode_steps": -1}
         shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
         (found,) = resolve_all([agent], every_training=False, **shared)
         world, player = make_player(found, parse_environment(env, given))

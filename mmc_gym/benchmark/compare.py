@@ -20,7 +20,7 @@ import pandas as pd
 from rich.console import Console
 
 from mmc_gym._console import make_console, print_written, progress_bar, text_for
-from mmc_gym._errors import require_choice
+from mmc_gym._errors import require_choice, require_names
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_table, to_html
 from mmc_gym.agents.base import Predictor
@@ -113,9 +113,7 @@ def compare(
     """
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
     labels = [agent.label for agent in found]
-    wanted = [focus] if isinstance(focus, str) else focus
-    for name in wanted:
-        require_choice("focus", name, dict.fromkeys(labels))
+    wanted = require_names("focus", focus, dict.fromkeys(labels))
     own = [agent.label for agent in found if agent.knowledge.kind == "yours"]
     chosen = tuple(dict.fromkeys(wanted or own or labels[:1]))
     found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))

@@ -23,7 +23,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._errors import MismatchWarning, UserError, require_arguments
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
@@ -226,7 +226,7 @@ def benchmark(
     Raises:
         UserError: also if the store was made with other settings.
     """
-    given = dict(env_kwargs or {})
+    given = require_arguments("env_kwargs", env_kwargs)
     asked = given.pop("control", None)
     scenarios = find_scenarios(environments, given, interface)
     found = resolve_all(agents, allow_pickle=allow_pickle, wrapper=wrapper)
@@ -297,7 +297,7 @@ def _joined(
     manifest = manifest or Manifest(episodes=episodes, seed=seed)
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
-    environments = dict(manifest.environments)
+    environments: dict[str, Any] = {**manifest.environments}
     for name, asked in scenarios.items():
         settings = environments.setdefault(name, asked)
         _require_same(out, f"environment {name}", settings, asked)

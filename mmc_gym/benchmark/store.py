@@ -25,10 +25,11 @@ import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from filelock import FileLock
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, with_config
+from typing_extensions import TypedDict
 
 from mmc_gym._errors import UserError, explain
-from mmc_gym._files import write_atomically
+from mmc_gym._files import require_path, write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
@@ -258,7 +259,7 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
     Raises:
         UserError: if there are none, or a file is damaged, missing, or of other settings.
     """
-    folder, shared = Path(folder), dict[str, tuple[Path, Mapping[str, Any]]]()
+    folder, shared = require_path("folder", folder), dict[str, tuple[Path, Mapping[str, Any]]]()
     chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
     has_paths = bool(_files(folder, PATHS))  # they may be left out as a whole
     tables = []
@@ -291,7 +292,7 @@ def _require_file(path: Path) -> None:
 
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
     """Return the stored paths of `cells` (all if None), see `paths_file`; cursors are filled in."""
-    files = _files(Path(folder), PATHS)
+    files = _files(require_path("folder", folder), PATHS)
     if cells is not None:
         names = {cell.file_name for cell in cells}
         files = [file for file in files if file.name in names]
@@ -343,6 +344,18 @@ class NotPlayed(_Frozen):
         return CellKey(self.agent, self.training_seed, self.environment)
 
 
+@with_config(ConfigDict(extra="allow"))
+class EnvironmentSettings(TypedDict, total=False):
+    """Settings of an environment, and facts of it as it was played."""
+
+    description: str
+    family: str
+    kwargs: dict[str, Any]
+    control_step: float | None  #: seconds
+    segment_lengths: list[float]  #: of the arm that agents are given
+    tolerance: float | None  #: the distance from the target that counts as success
+
+
 class Manifest(_Frozen):
     """Everything that a store was made with."""
 
@@ -350,10 +363,7 @@ class Manifest(_Frozen):
     episodes: int  #: number of episodes in each environment without numbered trials
     seed: int  #: of the starts and targets
     measures: dict[str, dict[str, Any]] = {}  #: by name, see `Quantity.facts`
-    #: settings by name of the environment, with control_step (seconds), segment_lengths (of the
-    #: arm that agents are given) and tolerance (the distance from the target that counts as
-    #: success) as it was played
-    environments: dict[str, dict[str, Any]] = {}
+    environments: dict[str, EnvironmentSettings] = {}  #: by name
     agents: dict[str, list[Policy]] = {}  #: policies by name of the agent
     not_played: list[NotPlayed] = []
     controls: dict[str, str] = {}  #: control modes of an agent's cells, by its source
@@ -381,7 +391,7 @@ def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
 
 def read_manifest(folder: Path | str) -> Manifest:
     """Return the manifest of a store; raise a `UserError` if it is missing, damaged or changed."""
-    path = Path(folder) / MANIFEST
+    path = require_path("folder", folder) / MANIFEST
     try:
         manifest = Manifest.model_validate_json(content := path.read_bytes())
     except FileNotFoundError as error:

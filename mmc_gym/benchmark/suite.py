@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import MismatchWarning
+from mmc_gym._errors import MismatchWarning, require_arguments
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import (
     HandPlan,
@@ -87,7 +87,7 @@ def find_scenarios(
         found = [find_scenario(one) for one in names]
     chosen: list[Playable] = found or [*SCENARIOS.values()]
     refuse_interface(interface, *chosen)
-    arguments = env_kwargs or {}
+    arguments = require_arguments("env_kwargs", env_kwargs)
     for number, one in enumerate(chosen):
         if isinstance(one, OwnEnvironment):
             own = replace(one, interface=interface)

@@ -19,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, require, require_whole, shown
+from mmc_gym._errors import UserError, require, require_arguments, require_whole, shown
 from mmc_gym.envs.names import (
     BASELINE,
     TASKS,
@@ -287,7 +287,7 @@ def parse_environment(
         arguments: for its constructor.
         interface: of your own environment, if it has none, see `InterfacedEnv`.
     """
-    arguments = arguments or {}
+    arguments = require_arguments("env_kwargs", arguments)
     if isinstance(env, Scenario | OwnEnvironment):
         return env.with_arguments(**arguments)
     found: Playable

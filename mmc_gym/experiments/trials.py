@@ -31,8 +31,8 @@ import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, require, require_choice, require_whole, shown
-from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._errors import UserError, require_arguments, require_names, require_whole, shown
+from mmc_gym._files import check_folder, require_path, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
@@ -339,7 +339,8 @@ def run_experiment(
     >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
     <rotation-30: ik-dls, 1 subjects each>
     """
-    experiment, given = find_experiment(experiment), dict(env_kwargs or {})
+    experiment = find_experiment(experiment)
+    given = require_arguments("env_kwargs", env_kwargs)
     subjects, seed = require_whole("subjects", subjects), require_whole("seed", seed, least=0)
     for name in SET_BY_SCENARIOS:
         if name in given:
@@ -348,13 +349,10 @@ def run_experiment(
     labels = [agent.label for agent in found]
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shared = {"rate": rate, "retention": retention}
-    own = {} if learners is None else learners
-    is_fine = isinstance(own, Mapping) and all(isinstance(one, Mapping) for one in own.values())
-    accepted = "a mapping of agents to mappings, such as {'slow': {'rate': 0.05}}"
-    require(is_fine, "learners", learners, accepted)
-    for name, chosen in (("keep", keep), ("learners", own)):
-        for label in chosen:
-            require_choice(name, label, labels)
+    of_each = require_arguments("learners", learners).items()
+    own = {label: require_arguments(f"learners of {label}", parts) for label, parts in of_each}
+    keep = require_names("keep", keep, labels)
+    require_names("learners", own, labels)
     whole = [
         TrialsCell(
             agent=agent,
@@ -390,8 +388,7 @@ def run_experiment(
 
 def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return all of an agent's `LEARNED` settings; raise a `UserError` for a wrong one."""
-    for name in given:
-        require_choice("learners", name, LEARNED)
+    require_names("learners", given, LEARNED)
     several = {name: given[name] for name in LEARNED[:2]}  # per state
     shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
     parts = Parts(**{**given, **shares})
@@ -452,7 +449,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """
     found: dict[str, list[_Cell]] = {}
     first: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}
-    for path in _planned_files(Path(folder) / TRIALS):
+    for path in _planned_files(require_path("folder", folder) / TRIALS):
         table, kept = cell = _read(path, path.read_bytes())
         name, agent = kept.settings["experiment"]["name"], table["agent"][0].as_py()
         stem, settings = _stem(agent, kept.settings), {**kept.settings, "subjects": None}

@@ -20,8 +20,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import ArrayLike
 
-from mmc_gym._errors import UserError, require, require_choice
-from mmc_gym._files import write_atomically
+from mmc_gym._errors import UserError, require_choice, require_names
+from mmc_gym._files import require_path, write_atomically
 from mmc_gym._tables import plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
@@ -65,26 +65,23 @@ def write_report(
     Raises:
         UserError: if an argument is wrong, or the store is damaged or has no episodes.
     """
-    for name, path in (("store", store), ("out", out)):
-        require(isinstance(path, str | Path), name, path, "a path")
+    store, out = require_path("store", store), require_path("out", out)
     require_choice("format", format, get_args(Format))
-    out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
     experiments: list[ExperimentResult] = []
-    if (Path(store) / TRIALS).exists():
+    if (store / TRIALS).exists():
         from mmc_gym.experiments.trials import read_experiments  # takes long, as does matplotlib
 
         experiments = read_experiments(store)
-    if experiments and not (Path(store) / MANIFEST).exists():
+    if experiments and not (store / MANIFEST).exists():
         known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
-        for name in focus:
-            require_choice("focus", name, known)
+        focus = require_names("focus", focus, known)
         names = listed([one.experiment.name for one in experiments])
         headline = f"Learning over trials in {names}."
         shown: dict[str, Any] = {"title": listed(list(focus) or known), "headline": headline}
     else:
-        results = read_results(Path(store), resamples, focus, yardstick)
+        results = read_results(store, resamples, focus, yardstick)
         focus, shown = results.focus, _of_benchmark(results, format)
     shown["experiments"] = [
         {

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mmc_gym._errors import UserError, require_choice
+from mmc_gym._errors import UserError, require_choice, require_names
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
@@ -308,7 +308,7 @@ def read_results(
     episodes = leave_out_failures(_compact(played), measures.values())
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
-    chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
+    chosen = _focus(identities, focus)
     if yardstick:
         require_choice("yardstick", yardstick, identities)
     ranking, best, present = pd.DataFrame(), "", set(episodes["environment"].unique())
@@ -342,8 +342,7 @@ def read_results(
 
 def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
     """Return the agents `asked` for; if none, all your own, or else the first agent."""
-    for name in asked:
-        require_choice("focus", name, identities)
+    asked = require_names("focus", asked, identities)
     own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
     first = sorted(identities, key=lambda name: name == REFERENCE)[:1]
     return tuple(dict.fromkeys(asked or own or first))

@@ -49,6 +49,7 @@ from mmc_gym._errors import (
     UserError,
     explain,
     require,
+    require_arguments,
     require_known,
     require_whole,
     shown,
@@ -317,10 +318,8 @@ def read_recipe(
     if env_id not in entries:
         raise unknown(f"env for {source}", env_id, entries)
     recipe = Recipe(path.stem, env_id, entries[env_id])
-    if env_kwargs is not None:
-        require(isinstance(env_kwargs, Mapping), "env_kwargs", env_kwargs, "a mapping")
     own = recipe.hyperparameters
     drawn = {"perturbations": own.pop("perturbations")} if "perturbations" in own else {}
-    if more := {**drawn, **(env_kwargs or {})}:
+    if more := {**drawn, **require_arguments("env_kwargs", env_kwargs)}:
         recipe = recipe.with_changes(env_kwargs={**(own.get("env_kwargs") or {}), **more})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

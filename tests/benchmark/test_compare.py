@@ -16,10 +16,12 @@ import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import minimum_jerk_episodes
 from mmc_gym.measures import episode_seeds, measure_all, run_episodes
 from mmc_gym.measures.catalogue import MEASURES, shown_measures
 from mmc_gym.network.time_base import minimum_jerk
+from mmc_gym.record import record
 
 FIGURES = {"paths_and_profiles.png", "paths_and_profiles.svg"}
 FILES = {"episodes.csv", "summary.csv", "summary.json", *FIGURES}
@@ -165,6 +167,21 @@ def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
     first, *_, last = found.differences.splitlines()
     assert first.startswith("ik-dls, success at the end: ") and "mmc" in first and "random" in first
     assert last == "random, success at the end: 100.0 points lower than mmc [43.9, 100.0]"
+
+
+@pytest.mark.parametrize("function", [compare, partial(benchmark, out="never"), record])
+@pytest.mark.parametrize("wrong", [0.5, 0, "", float, [("a", 1)], {1: 2}])
+def test_arguments_of_environments_are_by_name(function, wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = {"out": "film.gif"} if function is record else {}
+    with pytest.raises(UserError, match="env_kwargs must be a mapping of names to values, got"):
+        function(agents=["mmc"], env_kwargs=wrong, **arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_in_focus_is_named():
+    with pytest.raises(UserError, match="focus must be a name, or several, got <function"):
+        compare(["mmc"], episodes=1, focus=lambda: "mmc")
 
 
 def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_episode):

@@ -129,6 +129,9 @@ def test_a_cell_of_another_benchmark_and_a_folder_without_one_are_named(store, e
     for read in (read_episodes, read_manifest):
         with pytest.raises(UserError, match="folder must hold a benchmark's"):
             read(tmp_path / "empty")
+    for read in (read_episodes, read_manifest, read_paths):
+        with pytest.raises(UserError, match="folder must be a path, got"):
+            read("a\0b")
 
 
 def test_file_names_are_different_and_safe():
@@ -145,6 +148,12 @@ def test_file_names_are_different_and_safe():
         ({"schema_version": 1}, "schema_version must be 4, got 1"),
         ({"episodes": "many"}, "cannot be read: episodes must be a valid integer"),
         ({"agents": {"mmc": {}}}, "agents.mmc must be a valid array"),
+        ({"environments": {"a": {"tolerance": "x"}}}, "a.tolerance must be a valid number.* 'x'"),
+        (
+            {"environments": {"a": {"segment_lengths": 1}}},
+            "a.segment_lengths must be a valid array",
+        ),
+        ({"environments": {"a": {"kwargs": []}}}, "a.kwargs must be an object, got"),
         ({"episodes": 5}, "has been changed since the benchmark wrote it: remove it"),
     ],
 )

@@ -139,6 +139,8 @@ def test_the_command_writes_the_report(make_store, tmp_path, capsys):
     ("arguments", "message"),
     [
         ({"out": "."}, "out must be a file"),
+        ({"out": "a\0b"}, r"out must be a path, got 'a\\x00b'"),
+        ({"focus": print}, "focus must be a name, or several"),
         ({"focus": ["mcm"]}, "focus 'mcm' is not accepted; did you mean 'mmc'"),
         ({"format": "pdf"}, "format 'pdf' is not accepted"),
     ],
@@ -171,8 +173,9 @@ def test_a_store_of_experiments_has_a_report_of_them(experiments, tmp_path):
     assert text.count("data:image/svg+xml") == 1
     markdown = write_report(experiments, tmp_path / "report.md", format="md").read_text("utf-8")
     assert "## Learning in clamp-20" in markdown and "| people | 18 Tsay et al. 2020 |" in markdown
-    with pytest.raises(UserError, match="focus 'ik-dsl' is not accepted; did you mean 'ik-dls'"):
-        write_report(experiments, file, focus=["ik-dsl"])
+    for focus in ("ik-dsl", ["ik-dsl"]):
+        with pytest.raises(UserError, match="'ik-dsl' is not accepted; did you mean 'ik-dls'"):
+            write_report(experiments, file, focus=focus)
 
 
 def test_a_report_has_benchmark_and_experiments_of_a_store(experiments, make_store, tmp_path):

@@ -285,7 +285,7 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     np.testing.assert_array_equal(mmc.predict(env.reset(seed=1)[0])[0], action)
 
 
-@pytest.mark.parametrize(("name", "what"), [("out", "the path"), ("env_kwargs", "a map")])
+@pytest.mark.parametrize(("name", "what"), [("out", "a path"), ("env_kwargs", "a map")])
 def test_wrong_types_of_arguments_are_named(name, what):
     with pytest.raises(UserError, match=f"{name} must be {what}.*, got 3"):
         mmc_gym.train("ppo", steps=1, **{name: 3})
