@@ -63,9 +63,9 @@ def check_folder(path: Path | str, name: str) -> Path:
 
 
 def seal(content: bytes) -> bytes:
-    """Return the content of a file with its SHA-256 in place of the `UNSEALED` in it."""
-    digest = hashlib.sha256(content).hexdigest()
-    return content.replace(UNSEALED.encode(), digest.encode(), 1)
+    """Return the content of a file with its SHA-256 in place of the last `UNSEALED` in it."""
+    before, _, after = content.rpartition(UNSEALED.encode())
+    return before + hashlib.sha256(content).hexdigest().encode() + after
 
 
 def check_seal(content: bytes, digest: str) -> None:

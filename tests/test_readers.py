@@ -13,7 +13,7 @@ import yaml
 
 import mmc_gym
 from mmc_gym import UserError
-from mmc_gym._files import YAML_MOST, read_yaml
+from mmc_gym._files import UNSEALED, YAML_MOST, read_yaml, seal
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
 from mmc_gym.benchmark import store
@@ -85,8 +85,9 @@ def test_what_a_file_of_trials_names_is_looked_up(name, bait, tmp_path):
 def test_metadata_that_are_no_settings_are_damage(content, tmp_path):
     file = a_store(tmp_path)
     table, _ = read_table(file.read_bytes())
-    metadata = {store._CONTENT: content, store._CHECK: store._checksum(table.schema, content)}
-    pq.write_table(table.replace_schema_metadata(metadata), file, write_page_checksum=True)
+    metadata = {store._CONTENT: content, store._SEAL: UNSEALED}
+    pq.write_table(table.replace_schema_metadata(metadata), file)
+    file.write_bytes(seal(file.read_bytes()))
     with pytest.raises(UserError, match="is damaged, remove it: its metadata"):
         write_report(tmp_path, tmp_path / "report.html")
     cell = tmp_path / "episodes" / file.name  # and it is no cell of a benchmark

@@ -6,7 +6,8 @@
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
 an environment.  Every file is written atomically and carries, in its schema's metadata, the
-settings that it was made with: damaged or outdated cells are played again.
+settings that it was made with and the SHA-256 of the whole file: damaged or outdated cells are
+played again.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from mmc_gym._errors import UserError, explain
-from mmc_gym._files import require_path, write_atomically
+from mmc_gym._files import UNSEALED, check_seal, require_path, seal, write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
 MANIFEST = "manifest.json"
 EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
-_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # keys in a file's metadata
+_CONTENT, _SEAL = b"mmc_gym", b"mmc_gym_sha256"  # keys in a file's metadata, in this order
 _DIGEST = "sha256"  # key in the manifest: the digest of its other entries
 _KEY = ("agent", "training_seed", "environment")  # columns that name a cell
 _SHARED = ("episodes", "seed", "environment")  # settings that all cells of a scenario share
@@ -155,11 +156,9 @@ class Kept(NamedTuple):
 
 
 def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
-    """Return columns as a Parquet file whose metadata hold settings, facts and a checksum."""
-    table = pa.table(dict(columns))
-    content = json.dumps((kept or Kept())._asdict())
-    metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
-    table = table.replace_schema_metadata(metadata)
+    """Return columns as a Parquet file whose metadata hold settings, facts and its SHA-256."""
+    metadata = {_CONTENT: json.dumps((kept or Kept())._asdict()), _SEAL: UNSEALED}
+    table = pa.table(dict(columns)).replace_schema_metadata(metadata)
     buffer = io.BytesIO()
     pq.write_table(
         table,
@@ -167,15 +166,8 @@ def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
         compression="lz4",
         use_dictionary=["agent", "environment"],  # numbers hardly repeat
         write_statistics=False,
-        write_page_checksum=True,
     )
-    return buffer.getvalue()
-
-
-def _checksum(schema: pa.Schema, content: str) -> str:
-    """Return the SHA-256 of column names, types and metadata, which page checksums leave out."""
-    columns = [(field.name, str(field.type)) for field in schema]
-    return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
+    return seal(buffer.getvalue())
 
 
 def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
@@ -193,25 +185,21 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
 
 
 def read_table(content: bytes, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Return a file's table, settings and facts; raise any error of Parquet or `_kept_in`."""
-    file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-    kept = _kept_in(file.schema_arrow)
-    return file.read(columns, use_threads=False), kept  # one thread is faster for small files
+    """Return a file's table, settings and facts.
 
-
-def _kept_in(schema: pa.Schema) -> Kept:
-    """Return a file's settings and facts; raise a `ValueError` if its schema has been changed."""
-    metadata = schema.metadata or {}
-    content = metadata.get(_CONTENT, b"").decode()
-    if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
-        raise ValueError("columns and metadata are not those that the benchmark has written")
+    Raises:
+        ValueError: if the content is not as `to_parquet` made it; it is then not parsed.
+    """
+    # Thrift puts its type and length, two bytes, before the SHA-256.
+    check_seal(content, content.rpartition(_SEAL)[2][2:66].decode(errors="replace"))
+    file = pq.ParquetFile(pa.BufferReader(content))
     try:
-        kept = Kept(**json.loads(content))
+        kept = Kept(**json.loads(file.schema_arrow.metadata[_CONTENT]))
         if not all(isinstance(one, dict) for one in kept):
             raise TypeError("they must be mappings")
     except (TypeError, RecursionError) as error:
         raise ValueError(f"its metadata are no settings and facts: {error}") from error
-    return kept
+    return file.read(columns, use_threads=False), kept  # one thread is faster for small files
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
@@ -245,7 +233,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
     found = {}
     for path in _files(folder, EPISODES):
         with suppress(OSError, pa.ArrowException, ValueError):
-            kept = _kept_in(pq.read_schema(path))
+            _, kept = read_table(path.read_bytes(), [])
             if {"software", "cpu_seconds"} <= kept.facts.keys():  # else it is no cell
                 found[path.stem] = kept
     return found

@@ -31,8 +31,14 @@ import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, require_arguments, require_names, require_whole, shown
-from mmc_gym._files import check_folder, require_path, write_atomically
+from mmc_gym._errors import (
+    UserError,
+    require_arguments,
+    require_names,
+    require_whole,
+    shown,
+)
+from mmc_gym._files import UNSEALED, check_folder, check_seal, require_path, seal, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
@@ -160,7 +166,10 @@ def _in_files(subjects: int) -> Iterator[range]:
 def _subjects_in(plan: Path) -> int:
     """Return the number of subjects in the file of a plan; 0 if the file is missing."""
     try:
-        return require_whole("subjects", json.loads(plan.read_bytes())["subjects"])
+        content = plan.read_bytes()
+        entries = json.loads(content)
+        check_seal(content, str(entries["sha256"]))
+        return require_whole("subjects", entries["subjects"])
     except FileNotFoundError:
         return 0
     except (ValueError, LookupError, TypeError, RecursionError) as error:
@@ -369,7 +378,8 @@ def run_experiment(
     for one in whole if folder else ():  # before play, so that a file lost later is noticed
         plan = cast(Path, folder) / f"{one.stem}.json"
         if _subjects_in(plan) < subjects:
-            write_atomically(plan, json.dumps({"subjects": subjects}) + "\n")
+            entries = {"subjects": subjects, "sha256": UNSEALED}
+            write_atomically(plan, seal(json.dumps(entries).encode()))
     cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
     paths = [folder and folder / _file_name(one.stem, one.subjects) for one in cells]
     kept = [_content(path, cell) if path else None for path, cell in zip(paths, cells)]

@@ -222,9 +222,12 @@ def test_a_file_that_was_removed_is_named(tmp_path: Path) -> None:
     removed.write_bytes(content)
     assert len(read_experiments(tmp_path)) == 1
     plan = next(tmp_path.glob("trials/mmc--*.json"))
-    plan.write_text("[" * 100_000)
-    with pytest.raises(UserError, match=f"{plan.name} is damaged"):
-        read_experiments(tmp_path)
+    whole = plan.read_bytes()
+    flipped = [bytes([*whole[:k], whole[k] ^ 4, *whole[k + 1 :]]) for k in range(len(whole))]
+    for content in (*flipped, b"[" * 100_000, b'{"subjects": 1}'):
+        plan.write_bytes(content)
+        with pytest.raises(UserError, match=f"{plan.name} is damaged"):
+            read_experiments(tmp_path)
     plan.unlink()
     with pytest.raises(UserError, match=f"must have its {plan.name}"):
         read_experiments(tmp_path)
