@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import json
 import os
 import pkgutil
 import secrets
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,20 @@ def check_folder(path: Path | str, name: str) -> Path:
     if not existing.is_dir():
         raise UserError(f"{name} must be a folder, got the file {str(existing)!r}")
     return path
+
+
+def digest_of(entries: Mapping[str, Any]) -> str:
+    """Return the SHA-256 (hex) of entries of JSON types, in whatever order."""
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
+
+
+def digest_files(folder: Path, *patterns: str) -> str:
+    """Return the SHA-256 (hex) of the files that match, with their paths in the folder."""
+    digest = hashlib.sha256()
+    for path in sorted(path for pattern in patterns for path in folder.glob(pattern)):
+        content = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest.update(f"{path.relative_to(folder).as_posix()} {content}".encode())
+    return digest.hexdigest()
 
 
 def seal(content: bytes) -> bytes:

@@ -8,7 +8,6 @@ its cells are computed again.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import logging
 import os
@@ -33,7 +32,7 @@ import cloudpickle
 import loky
 
 from mmc_gym._errors import UserError, missing, require, require_whole, shown
-from mmc_gym._files import IMPORTED, import_modules
+from mmc_gym._files import IMPORTED, digest_files, import_modules
 
 CellT = TypeVar("CellT")
 Value = TypeVar("Value")
@@ -305,8 +304,5 @@ def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException 
 @cache
 def _sources() -> str:
     """Return the SHA-256 of all files of this package that results depend on."""
-    digest, package = hashlib.sha256(), Path(__file__).parent
-    for path in sorted(package.rglob("*")):
-        if path.suffix in (".py", ".json", ".safetensors", ".yml"):
-            digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+    kinds = ("**/*.py", "**/*.json", "**/*.safetensors", "**/*.yml")
+    return digest_files(Path(__file__).parent, *kinds)

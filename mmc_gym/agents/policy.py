@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.resources import files
@@ -29,7 +29,7 @@ from safetensors import SafetensorError
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
-from mmc_gym._files import write_atomically
+from mmc_gym._files import digest_of, write_atomically
 from mmc_gym.agents.base import Agent, Layouts, Started, check_no_state, resumed
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, History, PolicyNetwork
@@ -137,13 +137,9 @@ def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
     """Write the policy's two files, named after it and its seed, into `folder`."""
     weights = safetensors.numpy.save(network.tensors)
     entries = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
-    text = json.dumps({**entries, _DIGEST: _digest(entries)}, indent=1) + "\n"
+    text = json.dumps({**entries, _DIGEST: digest_of(entries)}, indent=1) + "\n"
     write_atomically(folder / f"{card.file_stem}.safetensors", weights)
     write_atomically(folder / f"{card.file_stem}.json", text)
-
-
-def _digest(entries: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
 
 def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
@@ -153,7 +149,7 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
         entries = from_json(text)
-        if not isinstance(entries, dict) or entries.pop(_DIGEST, "") != _digest(entries):
+        if not isinstance(entries, dict) or entries.pop(_DIGEST, "") != digest_of(entries):
             raise ValueError("its card is not as it was written, or is of an earlier version")
         card = TypeAdapter(PolicyCard).validate_json(json.dumps(entries))
         if hashlib.sha256(weights).hexdigest() != card.sha256:

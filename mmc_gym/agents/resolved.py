@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import traceback
 from collections.abc import Callable
@@ -14,17 +13,16 @@ from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import cache, cached_property, partial
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
-import cloudpickle
 import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError, is_whole, require
-from mmc_gym._files import import_object, look_here
+from mmc_gym._files import digest_files, import_object
+from mmc_gym._identity import identity
 from mmc_gym.agents.base import Predictor, require_plain, warn_of_another_arm
 from mmc_gym.agents.registry import (
     AGENTS,
@@ -187,30 +185,27 @@ class ResolvedAgent:
     def fingerprint(self) -> str:
         """SHA-256 digest of the agent and its wrapper; a new digest means a new agent.
 
-        Empty if nothing can be digested.
+        Empty for the ideal hand.
         """
-        if self.wrapper is None:
-            return self._digest
-        return hashlib.sha256((self._digest + _digest_of(self.wrapper)).encode()).hexdigest()
+        parts = [*self._parts, *([] if self.wrapper is None else [self.wrapper])]
+        return identity(*parts) if len(parts) > 1 else "".join(parts)
 
     @property
-    def _digest(self) -> str:
-        """SHA-256 digest of the agent without its wrapper.
+    def _parts(self) -> list[Any]:
+        """What the agent depends on: digests, and things that have an `identity`.
 
-        It is taken of a policy's weights, and of the code if the policy corrects another agent; of
-        a model's weights and statistics; of the code of all agents and networks, for an agent of
-        this package without a policy; of the module's file, for "module:function"; of an object's
-        pickle.  Changes in what these import or read go unnoticed.
+        They are a policy's weights, and the code of this package's agents if it corrects one of
+        them; a model's weights, statistics and classes; that code, for an agent of this package
+        without a policy; or your own agent.
         """
         if self.card is not None:
-            if not self.card.base_agent:
-                return self.card.sha256
-            return hashlib.sha256((self.card.sha256 + code_digest()).encode()).hexdigest()
+            return [self.card.sha256, *([code_digest()] if self.card.base_agent else [])]
         if self.model is not None:
-            return self.model.digest
+            is_loaded = getattr(self.model, "allow_pickle", True)
+            return [self.model.digest, *(self._thing.classes if is_loaded else [])]
         if self.name:
-            return "" if self.is_reference else code_digest()
-        return _digest_of(self.source or self.given)
+            return [] if self.is_reference else [code_digest()]
+        return [self.source, self.given]
 
     def check(self) -> None:
         """Import its module or read its files; raise what `factory` and `card` raise."""
@@ -334,30 +329,9 @@ def with_whole_signature(agent: Any) -> Predictor:
     return cast(Predictor, agent)
 
 
-def _digest_of(thing: Any) -> str:
-    """Return the SHA-256 of a "module:function"'s file or an object's pickle; "" without one."""
-    if not isinstance(thing, str):
-        try:
-            return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()
-        except Exception:  # it cannot be pickled; a worker raises the same error
-            return ""
-    look_here()
-    try:
-        spec = find_spec(thing.partition(":")[0])
-    except (ImportError, ValueError):  # no such package, or __main__, which has no spec
-        spec = None
-    file = Path(spec.origin) if spec is not None and spec.origin else Path()
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
-
-
 @cache
 def code_digest() -> str:
     """Return the SHA-256 of the code and weights of all agents that have no policy."""
     package = Path(str(files("mmc_gym")))
     rooms = ("agents/**/*.py", "network/**/*.py", "robots/**/*.py", "*/weights/*")
-    patterns = ("interface.py", "geometry.py", *rooms)
-    digest = hashlib.sha256()
-    for part in sorted(part for pattern in patterns for part in package.glob(pattern)):
-        digest.update(part.relative_to(package).as_posix().encode() + b"\0")
-        digest.update(hashlib.sha256(part.read_bytes()).digest())
-    return digest.hexdigest()
+    return digest_files(package, "interface.py", "geometry.py", *rooms)

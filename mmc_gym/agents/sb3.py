@@ -157,6 +157,11 @@ class ModelAgent(Agent[Any]):
             digest.update(rms.mean.tobytes() + rms.var.tobytes())
         return digest.hexdigest()
 
+    @property
+    def classes(self) -> list[type]:
+        """The classes that its policy is made of, such as an extractor of features."""
+        return sorted({type(part) for part in self._policy.modules()}, key=str)
+
 
 def _is_outside(observations: Any, space: Any) -> bool | None:
     """Return whether observations are outside of their space; None if that has no bounds.

@@ -4,8 +4,8 @@
 
 Cells that are in the store already, made with the same settings, are not played again: so an
 interrupted run resumes, and agents and environments can be added.  Cells are played again if the
-weights of their agent or the file of its module change, not if versions of libraries change: the
-manifest names all versions.
+weights of their agent or its code change (`mmc_gym._identity`), not if versions of libraries
+change: the manifest names all versions.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -26,6 +26,7 @@ from typing import Any, Literal, NamedTuple
 from mmc_gym._errors import MismatchWarning, UserError, require_arguments
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
+from mmc_gym._identity import identity, warn_of_unseen
 from mmc_gym.agents.base import RandomAgent
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
@@ -55,7 +56,7 @@ from mmc_gym.benchmark.suite import (
 from mmc_gym.envs.scenarios import Playable
 from mmc_gym.interface import CannotActError, ReachInterface, read_attribute
 from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, run_episodes
-from mmc_gym.measures.catalogue import digest, own_measures, register
+from mmc_gym.measures.catalogue import own_measures, register
 from mmc_gym.measures.reaching import success
 
 PATHS_KEPT, FAILURES_KEPT = 12, 6
@@ -89,7 +90,7 @@ class BenchmarkCell:
         """Return the entry of the manifest if it has no episodes."""
         return NotPlayed(**self.key._asdict(), status=status, reason=reason)
 
-    @property
+    @cached_property  # workers need not know what it is taken of
     def settings(self) -> dict[str, Any]:
         """Everything that its results are known to depend on, ready for JSON."""
         return {
@@ -99,7 +100,7 @@ class BenchmarkCell:
             "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
-            "measures": {one.name: digest(one) for one in self.measures},
+            "measures": {one.name: identity(one.facts, one.of) for one in self.measures},
             **({"control": self.control} if self.control else {}),
         }
 
@@ -256,6 +257,7 @@ def benchmark(
         one.key: None for one in cells if cell_facts(store, one.key, one.settings) is not None
     }
     missing = [one for one in cells if one.key not in finished]
+    warn_of_unseen(one.settings for one in cells if one.key in finished)
     reused = len(finished)
     on_progress(Progress(reused, len(cells)))
 

@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, with_config
 from typing_extensions import TypedDict
 
 from mmc_gym._errors import UserError, explain
-from mmc_gym._files import UNSEALED, check_seal, require_path, seal, write_atomically
+from mmc_gym._files import UNSEALED, check_seal, digest_of, require_path, seal, write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
@@ -389,16 +389,12 @@ def read_manifest(folder: Path | str) -> Manifest:
     except ValidationError as error:
         raise UserError(f"{path} cannot be read: {explain(error)}") from error
     entries = json.loads(content)
-    if entries.pop(_DIGEST, None) != _digest(entries):
+    if entries.pop(_DIGEST, None) != digest_of(entries):
         raise UserError(
             f"{path} has been changed since the benchmark wrote it: remove it, and run the same "
             "benchmark again, which plays no cell twice"
         )
     return manifest
-
-
-def _digest(entries: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
 
 def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
@@ -411,6 +407,6 @@ def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest])
     with FileLock(folder / ".lock"):  # released when the process dies, too
         manifest = update(read_manifest(folder) if path.exists() else None)
         entries = manifest.model_dump(mode="json")
-        content = {**entries, _DIGEST: _digest(entries)}
+        content = {**entries, _DIGEST: digest_of(entries)}
         write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
         return manifest

@@ -6,8 +6,6 @@ the environments, the settings of a store, an experiment's trials and the rows o
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -168,16 +166,21 @@ class OwnEnvironment:
         Raises:
             UserError: if it is not a reaching environment, and has no interface.
         """
+        from mmc_gym._identity import identity  # `import mmc_gym` loads no cloudpickle
+
         with closing(self.make()) as env:
             is_known = self.interface is not None or hasattr(env.unwrapped, "parameters")
             accepted = "a reaching environment, or one with an interface"
             require(is_known, "scenario", self.env, accepted)
             setup = getattr(env.unwrapped, "setup", None)
+            entry, layers = env.spec and env.spec.entry_point, list[Any]([env])
+            while isinstance(layer := layers[-1], gym.Wrapper | InterfacedEnv):
+                layers.append(layer.env)
             settings = {
                 "id": name_of(self.env),
                 "kwargs": self.arguments,
-                "code": code_of(env),
-                "registered": env.spec.kwargs if env.spec else {},
+                "code": identity(self.env, self.interface, entry, *map(type, layers)),
+                "registered": [env.spec.kwargs, env.spec.additional_wrappers] if env.spec else [],
                 **({"interface": env.parameters} if isinstance(env, InterfacedEnv) else {}),
                 "description": self.description,
                 "family": "",
@@ -374,31 +377,16 @@ def name_of(env: EnvLike) -> str:
 # Identity, for stores
 
 
-def code_of(thing: Any) -> str:
-    """Return the SHA-256 (hex) of the source of an object's class and of environments it wraps.
-
-    Only your own classes count; without any, the result is empty.  Imported code is ignored.
-    """
-    kinds = [type(thing)]
-    while isinstance(thing, gym.Wrapper | InterfacedEnv):
-        thing = thing.env
-        kinds.append(type(thing))
-    code = ""
-    for kind in kinds:
-        if not kind.__module__.startswith(("mmc_gym.", "gymnasium.")):
-            try:
-                code += inspect.getsource(kind)
-            except (OSError, TypeError):  # typed into an interpreter, or compiled
-                code += kind.__qualname__
-    return hashlib.sha256(code.encode()).hexdigest() if code else ""
-
-
 def as_json(arguments: Mapping[str, Any]) -> Any:
     """Return arguments as plain values that JSON can hold.
 
-    A task or a perturbation becomes its fields, the name of its class and, if it is your own, a
-    digest of its code: changed code is another scenario.
+    A task or a perturbation becomes its fields, the name of its class and, if it is your own, the
+    `identity` of its code: changed code is another scenario.
     """
+    from mmc_gym._identity import identity, is_own
+
+    def code(kind: type) -> dict[str, str]:
+        return {"code": identity(kind)} if is_own(kind.__module__) else {}
 
     def declared(value: Any) -> dict[str, Any]:
         if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
@@ -409,8 +397,10 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
         if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
-            return {"name": value.dist.name, "args": value.args, **value.kwds}
-        code = code_of(value)
-        return {"name": type(value).__name__, **declared(value), **({"code": code} if code else {})}
+            kind = type(value.dist)
+            return {"name": value.dist.name, "args": value.args, **value.kwds, **code(kind)}
+        if callable(value):
+            return {"name": name_of(value), "code": identity(value)}
+        return {"name": type(value).__name__, **declared(value), **code(type(value))}
 
     return json.loads(json.dumps(arguments, default=plain))

@@ -308,9 +308,14 @@ class Experiment:
 
     def _learned(self) -> list[Change]:
         """Return the perturbations of blocks and probes that are not of the senses."""
+        return [one for one in self.changes[len(self.noise) :] if not _is_of_senses(one)]
+
+    @property
+    def changes(self) -> list[Change]:
+        """The perturbations of all trials, and then those of blocks and probes."""
         parts: list[Block | Probe] = [*self.blocks]
         parts += [probe for block in self.blocks for probe in block.probes]
-        return [one for part in parts for one in part.perturbations if not _is_of_senses(one)]
+        return [*self.noise, *(one for part in parts for one in part.perturbations)]
 
     @property
     def settings(self) -> dict[str, Any]:

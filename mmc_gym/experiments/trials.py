@@ -14,13 +14,12 @@ DIGEST is a hash of all settings but the subjects: runs with other settings have
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -38,8 +37,17 @@ from mmc_gym._errors import (
     require_whole,
     shown,
 )
-from mmc_gym._files import UNSEALED, check_folder, check_seal, require_path, seal, write_atomically
+from mmc_gym._files import (
+    UNSEALED,
+    check_folder,
+    check_seal,
+    digest_of,
+    require_path,
+    seal,
+    write_atomically,
+)
 from mmc_gym._grid import run_grid
+from mmc_gym._identity import warn_of_unseen
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import LEARNED, Parts
@@ -47,6 +55,7 @@ from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
+from mmc_gym.envs.scenarios import as_json
 from mmc_gym.experiments.adaptation import BEFORE_FEEDBACK
 from mmc_gym.experiments.experiment import Condition, Experiment, find_experiment
 from mmc_gym.experiments.learning import describe_movements
@@ -93,22 +102,20 @@ class TrialsCell:
         """Start of the names of its files, AGENT--EXPERIMENT.DIGEST."""
         return _stem(self.agent.label, self.settings)
 
-    @property
+    @cached_property  # workers need not know what it is taken of
     def settings(self) -> dict[str, Any]:
         """All settings that the cell's result is known to depend on, as JSON types."""
-        names = ("subjects", "seed", "keeps_all", "parts", "env_kwargs")
+        names = ("seed", "keeps_all", "parts", "env_kwargs")
         settings = {
             "recording": RECORDING,
             "source": self.agent.source_name,
             "fingerprint": self.agent.fingerprint,
             "experiment": self.experiment.settings,
+            "perturbations": {one.name: one for one in self.experiment.changes},
+            "subjects": list(self.subjects),
             **{name: getattr(self, name) for name in names},
         }
-
-        def plain(value: Any) -> Any:
-            return value.item() if isinstance(value, np.generic) else list(value)
-
-        return cast(dict[str, Any], json.loads(json.dumps(settings, default=plain)))
+        return cast(dict[str, Any], as_json(settings))
 
     @property
     def learners(self) -> list[Parts]:
@@ -148,8 +155,7 @@ class TrialsCell:
 
 
 def _stem(agent: str, settings: Mapping[str, Any]) -> str:
-    shared = json.dumps({**settings, "subjects": None}, sort_keys=True)
-    digest = hashlib.sha256(shared.encode()).hexdigest()[:8]
+    digest = digest_of({**settings, "subjects": None})[:8]
     return f"{CellKey(agent, None, settings['experiment']['name']).stem}.{digest}"
 
 
@@ -384,6 +390,7 @@ def run_experiment(
     paths = [folder and folder / _file_name(one.stem, one.subjects) for one in cells]
     kept = [_content(path, cell) if path else None for path, cell in zip(paths, cells)]
     missing = [number for number, content in enumerate(kept) if content is None]
+    warn_of_unseen(cell.settings for cell, content in zip(cells, kept) if content is not None)
     on_progress(len(cells) - len(missing), len(cells))
 
     def keep_file(index: int, content: bytes) -> None:

@@ -19,9 +19,6 @@ The data hold them for all episodes.
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -216,15 +213,6 @@ def _origin(known: Measure) -> str:
 def own_measures() -> tuple[Measure, ...]:
     """Return the measures that users have registered; workers must `register` them as well."""
     return tuple(one for one in MEASURES.values() if not one.of.__module__.startswith("mmc_gym."))
-
-
-def digest(known: Measure) -> str:
-    """Return the SHA-256 of a measure's facts and of its function's source, if that is known."""
-    try:
-        source = inspect.getsource(known.of)
-    except (OSError, TypeError):  # typed into an interpreter, or compiled
-        source = _origin(known)
-    return hashlib.sha256(json.dumps([known.facts, source]).encode()).hexdigest()
 
 
 def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:

@@ -1,5 +1,6 @@
 """Models of stable-baselines3 as agents: as they were trained, or with a word about it."""
 
+import importlib
 import shutil
 import zipfile
 
@@ -65,6 +66,26 @@ def test_a_model_that_is_trained_further_acts_with_its_present_statistics(env):
     model.learn(40, reset_num_timesteps=False)
     assert acts_as(model, agent, env)
     assert resolve(model).fingerprint == resolve(agent).fingerprint
+
+
+def test_an_own_part_of_a_model_belongs_to_it_with_its_module(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "from stable_baselines3.common.torch_layers import FlattenExtractor\n"
+    code += "class Own(FlattenExtractor): pass\n"
+    (tmp_path / "own_extractor.py").write_text(code)
+    own = importlib.import_module("own_extractor").Own
+    policy = {"net_arch": [4], "features_extractor_class": own}
+    model = PPO("MlpPolicy", "MMCReach-v0", device="cpu", **{**TINY, "policy_kwargs": policy})
+    model.save(tmp_path / "saved")
+
+    def fingerprints():
+        saved = resolve(tmp_path / "saved.zip", allow_pickle=True)
+        return [resolve(model).fingerprint, saved.fingerprint]
+
+    before = fingerprints()
+    assert fingerprints() == before
+    (tmp_path / "own_extractor.py").write_text(f"{code}# changed")
+    assert all(one != other for one, other in zip(fingerprints(), before))
 
 
 def acts_as(model, agent, env):

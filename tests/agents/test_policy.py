@@ -15,6 +15,7 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from mmc_gym import make_agent
 from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._files import digest_of
 from mmc_gym.agents import AGENTS, policy
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.policy_network import History, PolicyNetwork
@@ -110,7 +111,7 @@ def test_damaged_weights_are_an_error(copy, tmp_path):
 def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
     entries = json.loads(copy.read_text()) | changes
     del entries[policy._DIGEST]  # and its writer wrote the digest that belongs to it
-    copy.write_text(json.dumps({**entries, policy._DIGEST: policy._digest(entries)}))
+    copy.write_text(json.dumps({**entries, policy._DIGEST: digest_of(entries)}))
     with pytest.raises(ValueError, match=message):
         make_agent(copy, gym.make("MMCReach-v0"))
 
