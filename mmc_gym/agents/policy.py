@@ -87,7 +87,8 @@ def shipped_file(name: str, seed: int) -> Path:
 class PolicyCard:
     """The card of a trained policy: what it is, and how it was trained."""
 
-    name: str  #: of the hyperparameters, such as "ppo"
+    #: of the hyperparameters, such as "ppo"; part of the names of its files
+    name: Annotated[str, Field(pattern=r"^[^./\\:\x00][^/\\:\x00]*$")]
     algorithm: str  #: a key of `ALGORITHMS`
     env_id: str  #: the environment that it was trained in
     control: Control  #: the control mode that its actions are of

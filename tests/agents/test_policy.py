@@ -105,6 +105,9 @@ def test_damaged_weights_are_an_error(copy, tmp_path):
         ({"base_agent": "pmp"}, "base_agent must be one of \\['mmc'\\] or empty"),
         ({"distribution": "squashed"}, "distribution must be that of 'ppo'"),
         ({"body": {"segment_lengths": [1, -1, 1]}}, "body segment_lengths must be positive"),
+        ({"name": "../../elsewhere"}, "card: name .*pattern"),
+        ({"name": ".."}, "card: name .*pattern"),
+        ({"name": "C:elsewhere"}, "card: name .*pattern"),
         ({"blocks": [1, 2]}, "network must take 35 features, got 15"),
     ],
 )
