@@ -5,9 +5,11 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
+import yaml
 from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
 from mmc_gym._errors import UserError
+from mmc_gym.training import hyperparameters
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
 from studies.learners.ppo_residual import Residual
@@ -29,6 +31,9 @@ def make(one):
 @pytest.mark.parametrize("name", names())
 def test_every_file_describes_a_model(name):
     one = read_recipe(name)
+    entry = yaml.safe_load((hyperparameters._SHIPPED / f"{name}.yml").read_text())[one.env_id]
+    assert entry == one.hyperparameters  # none of the keys that rl_zoo3 does not know
+    assert not {"perturbations", "memory"} & entry.keys()
     before = deepcopy(one.hyperparameters)
     model = make(one)
     assert isinstance(model, one.algorithm_class)
