@@ -100,7 +100,9 @@ def rank_agents(
         )
     by, ascending = ["success", "time_to_target"], [False, True]  # NaN is last
     ordered = pd.DataFrame(rows).sort_values(by, ascending=ascending)
-    blocks = [block for _, block in ordered.groupby("control", sort=False)]
+    acts_by = ordered["control"].replace("", None)  # that of most for what did not act
+    acts_by = acts_by.fillna(next(iter(acts_by.mode()), ""))
+    blocks = [block for _, block in ordered.groupby(acts_by, sort=False)]
     blocks.sort(key=len, reverse=True)
     ranks: list[int] = []
     for block in blocks:
@@ -191,7 +193,7 @@ def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
     """Return the ranking as it is printed; columns without any value are left out."""
     shows_lost = bool(ranking["not_played"].any())
     is_compared = bool(ranking["improvement"].notna().any())
-    has_blocks = ranking["control"].nunique() > 1
+    has_blocks = ranking["control"].replace("", None).nunique() > 1
     headings = [Heading("#"), Heading("agent", is_text=True)]
     headings += [Heading("acts by", is_text=True)] * has_blocks
     headings += [Heading("success"), Heading("settled")]

@@ -130,9 +130,12 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
 
 
 def other_controls(controls: Mapping[str, str]) -> dict[str, str]:
-    """Return the control modes, by agent, of the agents that differ from most agents."""
-    ((most, _),) = Counter(controls.values()).most_common(1)
-    return {agent: one for agent, one in controls.items() if one != most}
+    """Return the control modes, by agent, of the agents that differ from most agents.
+
+    Agents that did not act have none, "", and do not differ.
+    """
+    modes = Counter(filter(None, controls.values())).most_common(1)
+    return {agent: one for agent, one in controls.items() if one and one != modes[0][0]}
 
 
 def control_note(controls: Mapping[str, str]) -> str:
@@ -140,7 +143,7 @@ def control_note(controls: Mapping[str, str]) -> str:
     if not any(controls.values()):
         return ""
     others = other_controls(controls)
-    most = next(one for agent, one in controls.items() if agent not in others)
+    most = next(one for agent, one in controls.items() if one and agent not in others)
     but = ", ".join(f"{agent} by {one}" for agent, one in others.items())
     return f"All act by {most}{but and f', but {but}'}."
 

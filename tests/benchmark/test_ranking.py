@@ -11,6 +11,7 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
+from mmc_gym.benchmark.suite import control_note, other_controls
 
 
 def played(agent, environment, times, training_seed=None):
@@ -52,6 +53,18 @@ def test_agents_of_another_control_mode_are_ranked_below_by_themselves():
         **{"reflex": 1, "mmc": 2, "ppo": 3},
         **{"ideal torque": 1, "torque": 2},
     }
+
+
+def test_what_did_not_act_is_ranked_last_of_those_that_did():
+    """However many did not: they have no control mode."""
+    controls = {"mmc": "joint_delta", "ppo": "joint_delta", "her": "", "other": "", "third": ""}
+    frames = (played("mmc", "one", [0.4, 0.4]), played("ppo", "one", [NAN, 0.4]))
+    lost = [CellKey(agent, None, "one") for agent in ("her", "other", "third")]
+    ranking = summary(*frames, not_played=lost, controls=controls)
+    assert ranking["rank"].tolist() == [1, 2, 3, 3, 3]
+    assert ranking.index.tolist()[:2] == ["mmc", "ppo"]
+    assert other_controls(controls) == {}
+    assert control_note({"her": "", **controls}) == "All act by joint_delta."
 
 
 def test_a_copy_ties_with_itself():
