@@ -10,6 +10,7 @@ import functools
 import inspect
 import math
 import sys
+import warnings
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -49,6 +50,14 @@ class MissingExtraError(UserError, ImportError):
 
 class MismatchWarning(UserWarning):
     """An agent acts in an environment that it was not made for."""
+
+
+def warn_of_mismatch(message: str) -> None:
+    """Issue a `MismatchWarning` at the line of the user's code that led here."""
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("mmc_gym."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, MismatchWarning, stacklevel=level)
 
 
 def missing(what: str, package: str, extra: str) -> MissingExtraError:

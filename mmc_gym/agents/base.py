@@ -6,7 +6,6 @@ An agent sees only observations, and is given a `ReachInterface`.
 from __future__ import annotations
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -19,7 +18,7 @@ from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import MismatchWarning, UserError, require
+from mmc_gym._errors import UserError, require, warn_of_mismatch
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import (
     CannotActError,
@@ -319,8 +318,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
         if getattr(trained, name) != getattr(here, name)
     )
     if differences:
-        message = f"{label} was trained with another arm than that of env: {differences}"
-        warnings.warn(message, MismatchWarning, stacklevel=4)
+        warn_of_mismatch(f"{label} was trained with another arm than that of env: {differences}")
 
 
 class RandomAgent(Agent[tuple[np.random.Generator, ...]]):

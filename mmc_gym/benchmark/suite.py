@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import MismatchWarning, require_arguments
+from mmc_gym._errors import require_arguments, warn_of_mismatch
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import (
     HandPlan,
@@ -119,12 +118,10 @@ def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, An
         made = agent.wrapped(played.make(refusal.control))
         player = agent.factory(made)
     if not asked and isinstance(player, ModelAgent) and player.control is None:
-        warnings.warn(
+        warn_of_mismatch(
             f"{agent.label} does not declare the control mode that it was trained in, and acts by "
             f"{read_attribute(made, 'control')}, the environment's default; --env-kwargs "
-            "control=... gives another (in Python: env_kwargs)",
-            MismatchWarning,
-            stacklevel=2,
+            "control=... gives another (in Python: env_kwargs)"
         )
     return made, player
 
