@@ -85,7 +85,7 @@ Names = Annotated[tuple[str, ...], _arg("NAME...")]
 Pairs = Annotated[tuple[str, ...], _arg("NAME=VALUE...")]
 Modules = Annotated[tuple[str, ...], _arg("MODULE...", name="import")]
 Text = Annotated[str | None, _arg("TEXT")]
-Shares = Annotated[tuple[float, ...], _arg("X...")]
+Shares = Annotated[tuple[float, ...], _arg("X")]
 Number = Annotated[int, _arg("N")]
 OtherNumber = Annotated[int | None, _arg("N")]
 Place = Annotated[Path, _arg("PATH")]
@@ -138,9 +138,13 @@ class PlayOptions(EnvironmentOptions):
     wrapper: Names = ()
     """module:function: wrappers of a model; LABEL=... of one."""
 
+    statistics: Names = ()
+    """File of a model's VecNormalize; LABEL=... of one."""
+
     @override
     def load(self) -> dict[str, Any]:
-        return {**super().load(), "allow_pickle": self.allow_pickle, "wrapper": self.wrapper}
+        names = ("allow_pickle", "wrapper", "statistics")
+        return {**super().load(), **{name: getattr(self, name) for name in names}}
 
 
 NO_IMPORTS, IN_ENVIRONMENT, PLAYED = ImportOptions(), EnvironmentOptions(), PlayOptions()
@@ -169,7 +173,7 @@ def compare(
         episodes: Episodes of each agent.
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
-        interface: Of your own environment, module:name: where in its observations things are.
+        interface: module:name; where things are in your own observations.
         explain: Print all of how to read the numbers.
     """
     from mmc_gym.benchmark import compare
@@ -210,7 +214,7 @@ def benchmark(
         seed: Seed of the starts and targets.
         out: Folder of the store; an existing benchmark is resumed, or added to.
         jobs: Number of cells at once; one per core, if not given.
-        cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
+        cluster: ray, or ray://HOST:PORT, to play on a Ray cluster.
         interface: Of your own environments, see compare.
         protocol: Scenarios inside, between and beyond the ranges that the
             first agent trained on some was trained on, and combined.
@@ -260,7 +264,7 @@ def adapt(
     """Let agents learn over the trials of an experiment; print a table, write data and figure.
 
     Args:
-        experiment: One of `mmc-gym list experiments`, with any strength, or your own YAML file.
+        experiment: Of `list experiments`, or a YAML file.
         agents: See compare.
         keep: Agents that keep their whole memory, such as ppo-memory.
         rate: Share of an error learned; two: fast and slow.

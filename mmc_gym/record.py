@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from mmc_gym._errors import missing, require, require_arguments, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, Agents, Wrappers, resolve, resolve_all
+from mmc_gym.agents.resolver import AgentLike, Agents, Statistics, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.drawn import EXAMPLES
 from mmc_gym.envs.render import View, open_display
@@ -46,6 +46,7 @@ def record(
     interface: Any = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
     every: int = 1,
 ) -> Path:
     """Write a film of agents in the first episodes that `compare` plays, and return its path.
@@ -62,7 +63,7 @@ def record(
     if out.suffix == ".mp4":
         _require_ffmpeg()
     several: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
-    shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
+    shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
     found = resolve_all(several, every_training=False, **shared)
     seeds, every = episode_seeds(seed, episodes), require_whole("every", every)
     given = require_arguments("env_kwargs", env_kwargs) | {"render_mode": "rgb_array"}
@@ -179,6 +180,7 @@ def play(
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
 ) -> None:
     """Open a window in which the mouse moves the target and an agent the arm.
 
@@ -192,7 +194,7 @@ def play(
     try:
         given = require_arguments("env_kwargs", env_kwargs)
         given |= {"render_mode": "human", "max_episode_steps": -1}
-        shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper}
+        shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
         (found,) = resolve_all([agent], every_training=False, **shared)
         world, player = make_player(found, parse_environment(env, given))
         with closing(world):

@@ -79,6 +79,7 @@ PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1, wrapper_class=stack)).save("stac
 model = PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1))
 model.save("model")
 model.save("mine")
+model.save("logs/ppo/MMCReach-v0_1/MMCReach-v0")
 """
 
 
@@ -88,6 +89,7 @@ def fill(folder):
         for file in SHIPPED.glob("ppo-1.*"):
             shutil.copy(file, folder / "runs" / name)
     (folder / "my").mkdir()
+    (folder / "logs" / "ppo" / "MMCReach-v0_1").mkdir(parents=True)
     hyperparameters = ROOT / "mmc_gym" / "training" / "hyperparams" / "ppo.yml"
     shutil.copy(hyperparameters, folder / "my" / "ppo-mine.yml")
     for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):

@@ -189,6 +189,11 @@ class History:
             means[..., x], means[..., y] = turned
         return means.reshape(*means.shape[:-2], self.size)
 
+    def appended(self, observation: Float32, memory: Float32) -> tuple[Float32, Float32]:
+        """Return what `observed` makes of an observation, and the observation with its memory."""
+        now = self.observed(observation, memory)
+        return now, np.concatenate((observation, self.recall(now, memory)), axis=-1)
+
     @staticmethod
     def extended(now: Float32, action: Float32, memory: Float32) -> Float32:
         """Return the memory with one more step: `now` from `observed`, and an action (..., N)."""

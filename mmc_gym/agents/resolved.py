@@ -68,14 +68,19 @@ class ResolvedAgent:
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments that its environment must be made with: to show the context it learnt with."""
-        context = self.card.context if self.card is not None else []
+        source = self.model if self.card is None else self.card
+        context = getattr(source, "context", [])  # the file of a model does not know it
         return {"observe_context": context} if context else {}
 
     def wrapped(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
         """Return `env` inside the wrappers that the agent was trained in; `env` if it has none."""
         if self.wrapper is None:
             return env
-        made = self._wrap(env)
+        try:
+            made = self._wrap(env)
+        except Exception as error:  # whatever the user's code raises
+            message = f"wrapper {self.wrapper!r} must take a single environment, it {raised(error)}"
+            raise UserError(message) from error
         accepted = "a function that returns an environment in its wrappers"
         require(isinstance(made, gym.Env), "wrapper", self.wrapper, accepted)
         return AsTrained(made)
@@ -102,7 +107,7 @@ class ResolvedAgent:
         if self.given is not None:
             return self.given
         if self.model is not None:
-            return self.model.load() if isinstance(self.model, SavedModel) else self.model
+            return self.model.load()
         found = import_object(self.source, "agent")
         fine = callable(found) or hasattr(found, "predict")
         require(fine, f"agent {self.source!r}", found, "a function of the environment")

@@ -22,6 +22,7 @@ from glob import glob
 from os.path import exists
 from pathlib import Path
 from typing import Any, TypeAlias, cast
+from zipfile import is_zipfile
 
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
@@ -30,12 +31,16 @@ from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import AGENTS, REFERENCE
 from mmc_gym.agents.resolved import Factory, ResolvedAgent
-from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in
+from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in, read_statistics
 from mmc_gym.interface import InterfacedEnv
 
 AgentLike: TypeAlias = "str | Path | Predictor | Factory | Callable[[Any], Any]"
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
 """Agents, in order; a mapping gives them labels, and a list in it is several trainings of one."""
+
+Statistics: TypeAlias = "Any | Sequence[str] | Mapping[str, Any]"
+"""A `VecNormalize` or the path of its file, for all models of stable-baselines3; of a mapping, or
+as "LABEL=path", for one agent."""
 
 Wrapper: TypeAlias = "str | Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]"
 Wrappers: TypeAlias = "Wrapper | Sequence[Wrapper] | Mapping[str, Wrapper]"
@@ -70,6 +75,7 @@ def resolve_all(
     allow_pickle: bool = False,
     every_training: bool = True,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
 ) -> list[ResolvedAgent]:
     """Return each training of each agent, in the order given, and check all of them.
 
@@ -79,6 +85,7 @@ def resolve_all(
         every_training: whether the name of an agent that ships trained, such as "ppo", stands for
             all its trainings; or else for that of seed 0.
         wrapper: puts the environment of a model into the wrappers of its training; see `Wrappers`.
+        statistics: those that a model's observations are normalized by; see `Statistics`.
 
     Raises:
         UserError: also for none, or two of the same label and training seed.
@@ -100,9 +107,17 @@ def resolve_all(
         found += _trainings(sources, label, allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
-    found = _with_wrappers(found, wrapper)
-    for one in found:
-        one.check()
+    wrappers = _by_agent("wrapper", wrapper, found)
+    normalizers = _by_agent("statistics", statistics, found)
+    for index, (agent, wrap, source) in enumerate(zip(found, wrappers, normalizers)):
+        found[index] = replace(agent, wrapper=wrap or agent.wrapper)
+        if source is not None:
+            accepted = "for a model of stable-baselines3"
+            require(agent.model is not None, f"statistics of {agent.label}", source, accepted)
+            model: Any = agent.model
+            loaded = model.load(read_statistics(source, allow_pickle))
+            found[index] = replace(found[index], model=loaded)
+        found[index].check()
     counts = Counter((one.label, one.training_seed) for one in found)
     (label, _), count = counts.most_common(1)[0]
     if count > 1:
@@ -112,22 +127,21 @@ def resolve_all(
     return found
 
 
-def _with_wrappers(agents: list[ResolvedAgent], given: Wrappers) -> list[ResolvedAgent]:
-    if isinstance(given, Mapping):
-        wrappers = dict(given)
+def _by_agent(name: str, value: Any, agents: Sequence[ResolvedAgent]) -> list[Any]:
+    """Return what an argument has for each agent, see `Wrappers`; None where it has nothing."""
+    if isinstance(value, Mapping):
+        labelled = dict(value)
     else:
-        several = [given] if isinstance(given, str) or callable(given) else given
-        wrappers = dict(_labelled(one) if isinstance(one, str) else ("", one) for one in several)
-    everyone = wrappers.pop("", None)
-    for label in wrappers:
-        require_choice("the agent of wrapper", label, dict.fromkeys(one.label for one in agents))
-    is_used = everyone is None or any(one.model for one in agents)
+        several = value if isinstance(value, (list, tuple)) else [value]
+        labelled = dict(_labelled(one) if isinstance(one, str) else ("", one) for one in several)
+    everyone = labelled.pop("", None)
+    for label in labelled:
+        labels = dict.fromkeys(agent.label for agent in agents)
+        require_choice(f"the agent of {name}", label, labels)
+    is_used = everyone is None or any(agent.model for agent in agents)
     accepted = "for a model of stable-baselines3 among agents; or LABEL=..., for that agent"
-    require(is_used, "wrapper", everyone, accepted)
-    return [
-        replace(one, wrapper=wrappers.get(one.label, everyone if one.model else None))
-        for one in agents
-    ]
+    require(is_used, name, everyone, accepted)
+    return [labelled.get(agent.label, everyone if agent.model else None) for agent in agents]
 
 
 def _trainings(
@@ -196,13 +210,17 @@ def _common_label(pattern: str) -> str:
     """Return a label for the trainings of a pattern: "mine" of "runs/mine-*.zip"."""
     parts = [part for part in Path(pattern).parts if part.strip("*")]
     name = next((part for part in reversed(parts) if "*" in part), parts[-1] if parts else pattern)
-    return re.sub(r"\.(zip|json|safetensors)$|\*", "", name).strip("-_.") or pattern
+    return _without_suffix(name).replace("*", "").strip("-_.") or pattern
+
+
+def _without_suffix(name: str) -> str:
+    return re.sub(r"\.(zip|json|safetensors)$", "", name)
 
 
 def _resolve_object(agent: Any) -> ResolvedAgent:
     agent = as_agent(agent)
     if isinstance(agent, ModelAgent):
-        return ResolvedAgent(agent.label, "", model=agent)
+        return ResolvedAgent(agent.label, "", model=agent, wrapper=agent.trained_in.wrap)
     if hasattr(agent, "predict") or callable(agent):
         label = getattr(agent, "__name__", type(agent).__name__)
         return ResolvedAgent(label, "", given=agent)
@@ -218,12 +236,14 @@ def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
         path = shipped_file(kind, int(seed))
         return ResolvedAgent(name, path.stem, kind, path)
-    path, label = Path(name), Path(name).stem
+    path, label = Path(name), _without_suffix(Path(name).name)
     if name and path.is_dir():
         path, label = _agent_in(path), path.resolve().name
     if path.suffix in SUFFIXES:
         return ResolvedAgent(label, name, policy=path)
-    if path.suffix == SUFFIX:
+    if not path.exists() and Path(f"{name}{SUFFIX}").is_file():  # as stable-baselines3 names it
+        path = Path(f"{name}{SUFFIX}")
+    if path.suffix == SUFFIX or (path.is_file() and is_zipfile(path)):
         return ResolvedAgent(label, name, model=SavedModel(path, allow_pickle))
     if ":" in name and not name.startswith("."):  # relative imports are not accepted
         return ResolvedAgent(name, name)
@@ -270,7 +290,12 @@ def _unknown(agent: object) -> UserError:
 
 
 def make_agent(
-    name: AgentLike, env: gym.Env[Any, Any], *, interface: Any = None, allow_pickle: bool = False
+    name: AgentLike,
+    env: gym.Env[Any, Any],
+    *,
+    interface: Any = None,
+    allow_pickle: bool = False,
+    statistics: Statistics = (),
 ) -> Agent[Any]:
     """Make an agent for an environment, wrapped or not.
 
@@ -281,6 +306,7 @@ def make_agent(
         interface: for an environment that is not of this package, the `ReachInterface` that you
             wrote for it, "module:name" of one, or a function of the environment that returns one.
         allow_pickle: whether files that hold pickles may be loaded, see `resolve`.
+        statistics: of a model of stable-baselines3, see `resolve_all`.
 
     Raises:
         CannotActError: for an environment that the agent cannot act in.
@@ -298,4 +324,7 @@ def make_agent(
     """
     if interface is not None:
         env = InterfacedEnv(env, interface)
-    return cast("Agent[Any]", resolve(name, allow_pickle=allow_pickle).factory(env))
+    (agent,) = resolve_all(
+        [name], allow_pickle=allow_pickle, every_training=False, statistics=statistics
+    )
+    return cast("Agent[Any]", agent.factory(env))

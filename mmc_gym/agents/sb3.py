@@ -17,10 +17,10 @@ import json
 import lzma
 import pickle
 import sys
-import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,10 +28,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._errors import UserError, require, warn_of_mismatch
 from mmc_gym.agents.base import Agent, Started, changes_contract, warn_of_another_arm, wrappers_of
 from mmc_gym.interface import CannotActError, Control, ControlError, Observation, read_attribute
 
@@ -45,11 +46,9 @@ _DAMAGED = (
     *(KeyError, RuntimeError, ValueError),
 )
 # Entries that a policy is made of, and what it saw last; no others in a zip file are unpickled.
-_LAST = "_last_obs"
-_NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", _LAST)
-# The last observation before normalization: set by a training behind VecNormalize, and by every
-# off-policy training.
-_ORIGINAL = "_last_original_obs"
+_LAST, _ORIGINAL = "_last_obs", "_last_original_obs"
+_SPACES = ("observation_space", "action_space")
+_NEEDED = ("policy_class", "policy_kwargs", "use_sde", *_SPACES, _LAST, _ORIGINAL)
 _SAY_IT = "say --wrapper module:function (in Python: wrapper=...)"
 _MEMBER_MOST = 200 * 2**20  # bytes of an entry of a zip file, unpacked
 
@@ -60,15 +59,23 @@ class TrainingEnvironment(NamedTuple):
     control: Control | None = None  #: its control mode
     body: ArmParameters | None = None  #: its arm, without perturbations
     wrappers: tuple[str, ...] = ()  #: names of wrappers that change observations or actions
+    context: tuple[Any, ...] = ()  #: `observe_context` that gives the same scale; empty without it
+    #: puts a single environment into the same wrappers; None where these have no such function
+    wrap: Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None = None
 
     @classmethod
     def of(cls, env: Any) -> TrainingEnvironment:
         """Return what is known of an environment, wrapped or not."""
         try:
-            control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
+            known = ("control", "unperturbed", "context_scale")
+            control, body, context = (read_attribute(env, name) for name in known)
         except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
             return cls()
-        return cls(control, body, _changing_wrappers(env))
+        names = _changing_wrappers(env)
+        chain = wrappers_of(env)
+        wraps = [one.single_wrapper for one in chain if hasattr(type(one), "single_wrapper")]
+        wrap = wraps[0] if len(wraps) == len(names) == 1 else None
+        return cls(control, body, () if wrap else names, tuple(context or ()), wrap)
 
 
 class AsTrained(gym.Wrapper[Any, Any, Any, Any]):
@@ -84,7 +91,7 @@ class ModelAgent(Agent[Any]):
     If the model is trained further, the agent acts with its present weights and statistics.
     """
 
-    training_seed = None
+    training_seed: int | None = None
 
     def __init__(
         self,
@@ -94,10 +101,15 @@ class ModelAgent(Agent[Any]):
         label: str,
         training_steps: int,
         trained_in: TrainingEnvironment,
+        lacks_statistics: bool | None = False,
     ) -> None:
-        """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`."""
+        """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`.
+
+        `lacks_statistics` says whether it needs one and has none; None if that is not known.
+        """
         self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
-        self.control = trained_in.control
+        self.control, self.context = trained_in.control, [*trained_in.context]
+        self.lacks_statistics = lacks_statistics
         self._policy, self._normalizer = policy, normalizer
 
     @override
@@ -114,28 +126,52 @@ class ModelAgent(Agent[Any]):
         action, state = self._policy.predict(observation, state, episode_start, deterministic)
         return action, state
 
+    def load(self, normalizer: Any = None) -> ModelAgent:
+        """Return the agent, with the statistics of another `VecNormalize` if one is given.
+
+        Raise a `UserError` if it lacks those of its training.
+        """
+        agent = self if normalizer is None else copy(self)
+        if normalizer is not None:
+            agent._normalizer, agent.lacks_statistics = normalizer, False
+        if agent.lacks_statistics:
+            raise UserError(
+                f"{self.label} must have the statistics of the VecNormalize that it was trained "
+                "behind, got none: keep the file of env.save('vecnormalize.pkl') in its folder, or "
+                "say --statistics FILE (in Python: statistics=..., the file or the VecNormalize)"
+            )
+        return agent
+
     def acting_in(self, env: Any) -> ModelAgent:
         """Return the agent itself if it can act in an environment.
 
-        Warn, by a `MismatchWarning`, of another arm than in training.
+        Warn, by a `MismatchWarning`, of another arm than in training, or that statistics may be
+        missing.
 
         Raises:
+            UserError: if it lacks statistics.
             ControlError: if its actions are of another control mode.
             CannotActError: if its observations or actions have another shape, or passed a wrapper
                 in training that `env` lacks.
         """
-        for name in ("observation_space", "action_space"):
+        self.load()
+        for name in _SPACES:
             own = _shape(getattr(self._policy, name))
             here = _shape(getattr(env, f"single_{name}", getattr(env, name)))
             if own != here:
                 message = f"{name} must be of shape {own} for {self.label}, got {here}"
-                raise CannotActError(f"{message}; if it was trained behind a wrapper {_SAY_IT}")
+                raise CannotActError(f"{message}; {_remedy(own, here)}")
         control = read_attribute(env, "control")
         if self.control and control and control != self.control:
             raise ControlError(
                 f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
+        if self.lacks_statistics is None:
+            warn_of_mismatch(
+                f"{self.label} does not say whether it was trained behind a VecNormalize; if it "
+                "was, say --statistics FILE (in Python: statistics=...)"
+            )
         if any(isinstance(one, AsTrained) for one in wrappers_of(env)):
             return self
         here = _changing_wrappers(env)
@@ -163,6 +199,19 @@ class ModelAgent(Agent[Any]):
         return sorted({type(part) for part in self._policy.modules()}, key=str)
 
 
+def _lacks_statistics(model: Mapping[str, Any]) -> bool | None:
+    """Return whether a model was trained on normalized observations; None if it does not say."""
+    last, original = model.get(_LAST), model.get(_ORIGINAL)
+    # Set by a training behind VecNormalize, even one of rewards alone, and off policy by each.
+    if original is None or data_equivalence(last, original):
+        return False
+    is_outside = None if last is None else _is_outside(last, model["observation_space"])
+    if "replay_buffer_class" in model:  # off policy
+        return is_outside
+    # The last observation of ARS is its first, hardly normalized.
+    return is_outside is not False or "gae_lambda" not in model
+
+
 def _is_outside(observations: Any, space: Any) -> bool | None:
     """Return whether observations are outside of their space; None if that has no bounds.
 
@@ -182,6 +231,14 @@ def _shape(space: Any) -> Any:
     return space.shape
 
 
+def _remedy(own: Any, here: Any) -> str:
+    """Return what may be done about observations or actions of another shape."""
+    if isinstance(own, dict) and not isinstance(here, dict):
+        return "let it play in MMCReachGoal-v0 (--scenarios; in Python: env or environments)"
+    arguments = "--env-kwargs observe_context=... (in Python: env_kwargs)"
+    return f"if it was trained with the context say {arguments}; if behind a wrapper {_SAY_IT}"
+
+
 def as_agent(thing: Any) -> Any:
     """Return the agent of a model or a policy of stable-baselines3; anything else as it is."""
     if "stable_baselines3" not in sys.modules:  # nothing can be of a module that is not imported
@@ -192,14 +249,42 @@ def as_agent(thing: Any) -> Any:
     if not isinstance(thing, (BaseAlgorithm, BasePolicy)):
         return thing
     model: Any = thing
-    env = getattr(model, "env", None)  # a pickled model has none
+    env = getattr(model, "env", None)  # a model that was loaded may have none
+    normalizer = None if env is None else model.get_vec_normalize_env()
+    # What it saw last is of this environment; `load` and `set_env` forget it.
+    is_known = normalizer is not None or (env is not None and getattr(model, _LAST) is not None)
     return ModelAgent(
         getattr(model, "policy", model),
-        None if env is None else model.get_vec_normalize_env(),
+        normalizer,
         label=type(model).__name__,
         training_steps=int(getattr(model, "num_timesteps", 0)),
         trained_in=TrainingEnvironment() if env is None else TrainingEnvironment.of(env),
+        lacks_statistics=False if is_known else _lacks_statistics(vars(model)),
     )
+
+
+def read_statistics(source: Any, allow_pickle: bool) -> Any:
+    """Return a `VecNormalize`, as given, or from the path of its file if pickles are allowed."""
+    normalizer = source
+    if isinstance(source, (str, Path)):
+        path = Path(source)
+        normalizer = _unpickled(path, allow_pickle, lambda: pickle.loads(path.read_bytes()))
+    accepted = "a VecNormalize, or the path of its file"
+    require(hasattr(normalizer, "normalize_obs"), "statistics", source, accepted)
+    return normalizer
+
+
+def _unpickled(path: Path, is_allowed: bool, load: Callable[[], Any]) -> Any:
+    """Return what `load` makes of a file with pickles; raise a `UserError` if it cannot."""
+    if not is_allowed:
+        raise UserError(
+            f"'{path}' holds pickles, and to load them runs whatever code they name: if you trust "
+            "the file, say --allow-pickle (in Python: allow_pickle=True)"
+        )
+    try:
+        return load()
+    except Exception as error:  # whatever unpickled code raises
+        raise UserError(f"{path} cannot be loaded: {error}") from error
 
 
 def _changing_wrappers(env: Any) -> tuple[str, ...]:
@@ -251,7 +336,10 @@ class SavedModel:
         """The file with the statistics of its `VecNormalize`; None if it has none."""
         if self.facts.get(_ORIGINAL) is None:
             return None
-        pickles = [file for file in self.path.parent.glob("*.pkl") if file.is_file()]
+        folder = self.path.parent
+        # rl_zoo3 has them beside its settings, in a folder named after the environment.
+        of_zoo = (file.with_name("vecnormalize.pkl") for file in folder.glob("*/config.yml"))
+        pickles = [file for file in (*folder.glob("*.pkl"), *of_zoo) if file.is_file()]
         # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
         # model_vecnormalize_1000_steps.pkl of model_1000_steps.zip.
         own = [one for one in pickles if one.stem.replace("_vecnormalize", "") == self.path.stem]
@@ -269,52 +357,28 @@ class SavedModel:
         statistics = b"" if self.statistics is None else self.statistics.read_bytes()
         return hashlib.sha256(self.path.read_bytes() + statistics).hexdigest()
 
-    def load(self) -> ModelAgent:
-        """Load the model, if pickles are allowed: that runs the code that they name."""
+    def load(self, normalizer: Any = None) -> ModelAgent:
+        """Load the model, if pickles are allowed: that runs the code that they name.
+
+        A `normalizer`, which is a `VecNormalize`, takes the place of the statistics in the folder.
+        """
         _ = self.facts  # read first: it names a missing or wrong file
-        # Every off-policy training has this entry, others only behind VecNormalize.
-        may_be_normalized = self.statistics is None and self.facts.get(_ORIGINAL) is not None
-        lacks_statistics = UserError(
-            f"{self.path} must have the statistics of its VecNormalize in its folder, as "
-            "env.save('vecnormalize.pkl') writes them, got none"
-        )
-        if may_be_normalized and "gae_lambda" in self.facts:
-            raise lacks_statistics
-        if not self.allow_pickle:
-            raise UserError(
-                f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
-                "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
-            )
-        try:
-            policy, last_seen = self._load_policy()
-            normalizer = self.statistics and pickle.loads(self.statistics.read_bytes())
-            if not (normalizer is None or hasattr(normalizer, "normalize_obs")):
-                raise TypeError(f"{self.statistics} holds no VecNormalize")
-        except UserError:
-            raise
-        except Exception as error:  # whatever unpickled code raises
-            raise UserError(f"{self.path} cannot be loaded: {error}") from error
-        if may_be_normalized:
-            seen_in = policy.observation_space
-            is_outside = None if last_seen is None else _is_outside(last_seen, seen_in)
-            if is_outside:
-                raise lacks_statistics
-            if is_outside is None:
-                message = (
-                    f"{self.path} does not say whether it was trained behind a VecNormalize; if it "
-                    "was, save the statistics in its folder by env.save('vecnormalize.pkl')"
-                )
-                warnings.warn(message, MismatchWarning, stacklevel=2)
-        return ModelAgent(
+        policy, attributes = _unpickled(self.path, self.allow_pickle, self._load_policy)
+        agent = ModelAgent(
             policy,
-            normalizer,
+            None,
             label=self.path.name,
             training_steps=self.training_steps or 0,
             trained_in=TrainingEnvironment(),
+            lacks_statistics=_lacks_statistics(attributes),
         )
+        agent.training_seed = self.training_seed
+        if normalizer is None and self.statistics is not None:
+            normalizer = read_statistics(self.statistics, self.allow_pickle)
+        return agent.load(normalizer)
 
-    def _load_policy(self) -> tuple[Any, Any]:
-        """Return the policy, and the last observations of its training."""
+    def _load_policy(self) -> tuple[Any, dict[str, Any]]:
+        """Return the policy, and the attributes of the model; those not needed are None."""
         from stable_baselines3.common.save_util import load_from_zip_file
 
         # Entries in `custom_objects` are not unpickled.
@@ -323,12 +387,12 @@ class SavedModel:
         data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
         assert data is not None
         kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
-        if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
-            options.setdefault("use_sde", True)
-        spaces = data["observation_space"], data["action_space"]
-        policy = kind(*spaces, lr_schedule=lambda progress: 0.0, **options)
+        more = {"lr_schedule": lambda progress: 0.0, "use_sde": data.get("use_sde")}
+        taken = inspect.signature(kind).parameters  # ARS has no schedule
+        options = {name: one for name, one in more.items() if one and name in taken} | options
+        policy = kind(*(data[name] for name in _SPACES), **options)
         policy.load_state_dict(weights["policy"])
-        return policy, data.get(_LAST)
+        return policy, data
 
 
 def models_in(folder: Path) -> list[Path]:

@@ -26,7 +26,7 @@ from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_tabl
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, Wrappers, resolve, resolve_all
+from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     RESAMPLES,
@@ -73,6 +73,7 @@ def compare(
     interface: Any = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
     explain: bool = False,
 ) -> Comparison:
     """Let agents play the same episodes.
@@ -101,6 +102,9 @@ def compare(
             That runs whatever code they name.
         wrapper: of models of stable-baselines3, a function of the environment, or
             "module:function", with the wrappers of their training; or a mapping of labels to these.
+        statistics: of models of stable-baselines3 that were trained behind a `VecNormalize`: that,
+            or the path of its file; or a mapping of labels to these.  Not needed for a model that
+            is still in it, nor for a file with statistics in its folder.
         explain: whether to print all of how to read the numbers, see `Comparison.explanation`.
 
     >>> comparison = compare(["random"], episodes=2)
@@ -111,7 +115,8 @@ def compare(
     >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
     {'random': 2, 'minimum jerk (ideal)': 2}
     """
-    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
+    shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
+    found = resolve_all(agents, every_training=False, **shared)
     labels = [agent.label for agent in found]
     wanted = require_names("focus", focus, dict.fromkeys(labels))
     own = [agent.label for agent in found if agent.knowledge.kind == "yours"]

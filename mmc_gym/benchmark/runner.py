@@ -23,13 +23,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from mmc_gym._errors import MismatchWarning, UserError, require_arguments
+from mmc_gym._errors import MismatchWarning, UserError, require_arguments, warn_of_mismatch
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym._identity import identity, warn_of_unseen
 from mmc_gym.agents.base import RandomAgent
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
+from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
@@ -204,6 +204,7 @@ def benchmark(
     interface: Any = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
     """Let agents play the benchmark's environments; keep all in a store, and return its manifest.
@@ -222,6 +223,7 @@ def benchmark(
         interface: of your own environments, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
         wrapper: of models, see `compare`.
+        statistics: of models, see `compare`.
         on_progress: called at the start, and whenever a cell is finished.
 
     Raises:
@@ -230,7 +232,7 @@ def benchmark(
     given = require_arguments("env_kwargs", env_kwargs)
     asked = given.pop("control", None)
     scenarios = find_scenarios(environments, given, interface)
-    found = resolve_all(agents, allow_pickle=allow_pickle, wrapper=wrapper)
+    found = resolve_all(agents, allow_pickle=allow_pickle, wrapper=wrapper, statistics=statistics)
     episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
     check_workers(jobs, cluster)
     settings = {name: _settings(one) for name, one in scenarios.items()}
@@ -266,7 +268,7 @@ def benchmark(
         write_cell(store, key, outcome.files)  # or remove it, if it was played by a former agent
         finished[key] = why = outcome.not_played
         for text in outcome.warned:
-            warnings.warn(text, MismatchWarning, stacklevel=1)
+            warn_of_mismatch(text)
         failed = why if why is not None and why.status == "failed" else None
         on_progress(Progress(len(finished), len(cells), key, failed))
 

@@ -52,7 +52,7 @@ from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import LEARNED, Parts
 from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, Wrappers, resolve_all
+from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve_all
 from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.envs.scenarios import as_json
@@ -327,6 +327,7 @@ def run_experiment(
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
+    statistics: Statistics = (),
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ExperimentResult:
     """Let agents go through an experiment, each as several subjects.
@@ -349,6 +350,7 @@ def run_experiment(
         env_kwargs: arguments of the environment, as in `compare`.
         allow_pickle: as in `compare`.
         wrapper: as in `compare`.
+        statistics: as in `compare`.
         on_progress: called with the number of finished cells and the number of all cells.
 
     >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
@@ -360,7 +362,8 @@ def run_experiment(
     for name in SET_BY_SCENARIOS:
         if name in given:
             raise UserError(f"{name} must be left out of env_kwargs: the experiment sets it")
-    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False, wrapper=wrapper)
+    of_models: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
+    found = resolve_all(agents, every_training=False, **of_models)
     labels = [agent.label for agent in found]
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shared = {"rate": rate, "retention": retention}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -121,20 +122,21 @@ class Memory(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv, blocks: Sequence[int]) -> None:
         """Wrap an environment with Box observations; `blocks` has the number of steps per block."""
-        space, self.blocks = venv.observation_space, tuple(blocks)
-        accepted = "Box observations, which MMCReachGoal-v0 has not"
-        require(isinstance(space, gym.spaces.Box), "observation_space", space, accepted)
-        assert isinstance(space, gym.spaces.Box)
-        self._history = History(ReachInterface.of(venv).layout, self.blocks)
-        unbounded = np.full(self._history.size, np.inf, np.float32)
-        low, high = np.concatenate((space.low, -unbounded)), np.concatenate((space.high, unbounded))
-        super().__init__(venv, gym.spaces.Box(low, high, dtype=np.float32))
+        self.blocks = tuple(blocks)
+        self._history, space = _remembering(venv, self.blocks)
+        super().__init__(venv, space)
+
+    @property
+    def single_wrapper(self) -> Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]]:
+        """The function that puts a single environment into the same memory."""
+        return partial(MemoryObservation, blocks=self.blocks)
 
     @override
     def reset(self) -> VecEnvObs:
         observation: Any = self.venv.reset()
         self._memory = self._history.start(observation)
-        return self._show(observation)
+        self._now, shown = self._history.appended(observation, self._memory)
+        return shown
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -147,17 +149,52 @@ class Memory(VecEnvWrapper):
         observation, rewards, dones, infos = self.venv.step_wait()
         seen: Any = observation  # the next episode's first one where an episode has ended
         for index in np.flatnonzero(dones).tolist():
-            last, memory = infos[index]["terminal_observation"], self._memory[index]
-            now = self._history.observed(last, memory)
-            recalled = self._history.recall(now, memory)
-            infos[index]["terminal_observation"] = np.concatenate((last, recalled))
+            last = infos[index]["terminal_observation"]
+            _, shown = self._history.appended(last, self._memory[index])
+            infos[index]["terminal_observation"] = shown
             self._memory[index] = self._history.start(seen[index])
-        return self._show(seen), rewards, dones, infos
+        self._now, shown = self._history.appended(seen, self._memory)
+        return shown, rewards, dones, infos
 
-    def _show(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        self._now = self._history.observed(observation, self._memory)
-        recalled = self._history.recall(self._now, self._memory)
-        return np.concatenate((observation, recalled), axis=-1)
+
+class MemoryObservation(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """The `Memory` of a single environment, in which a model that was saved is compared.
+
+    >>> import gymnasium as gym, mmc_gym
+    >>> MemoryObservation(gym.make("MMCReach-v0"), [1, 1, 2, 4]).reset()[0].shape
+    (55,)
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], blocks: Sequence[int]) -> None:
+        """Wrap an environment with Box observations; `blocks` has the number of steps per block."""
+        gym.utils.RecordConstructorArgs.__init__(self, blocks=blocks)
+        super().__init__(env)
+        self._history, self.observation_space = _remembering(env, blocks)
+
+    @override
+    def reset(self, **options: Any) -> tuple[Any, Info]:
+        observation, info = self.env.reset(**options)
+        self._memory = self._history.start(observation)
+        self._now, shown = self._history.appended(observation, self._memory)
+        return shown, info
+
+    @override
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, Info]:
+        taken = np.asarray(action, np.float32)
+        self._memory = self._history.extended(self._now, taken, self._memory)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._now, shown = self._history.appended(observation, self._memory)
+        return shown, reward, terminated, truncated, info
+
+
+def _remembering(env: Any, blocks: Sequence[int]) -> tuple[History, gym.spaces.Box]:
+    """Return the memory of an environment, and the space of observations with it."""
+    space, accepted = env.observation_space, "Box observations, which MMCReachGoal-v0 has not"
+    require(isinstance(space, gym.spaces.Box), "observation_space", space, accepted)
+    history = History(ReachInterface.of(env).layout, blocks)
+    unbounded = np.full(history.size, np.inf, np.float32)
+    low, high = np.concatenate((space.low, -unbounded)), np.concatenate((space.high, unbounded))
+    return history, gym.spaces.Box(low, high, dtype=np.float32)
 
 
 def _row(infos: Info, index: int) -> Info:

@@ -2,7 +2,9 @@
 
 import importlib
 import shutil
+import warnings
 import zipfile
+from copy import deepcopy
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +16,8 @@ from gymnasium.wrappers import (
     RescaleAction,
     TransformObservation,
 )
-from stable_baselines3 import PPO, SAC
+from sb3_contrib import ARS, TQC, TRPO, CrossQ, RecurrentPPO
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
@@ -29,6 +32,7 @@ from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.interface import CannotActError, ControlError
+from mmc_gym.training.vec_env import GymnasiumVecEnv, Memory, MemoryObservation
 
 CONTROL = "joint_velocity"
 TWICE = np.float32([-2.0, 2.0])
@@ -106,6 +110,56 @@ def test_a_model_acts_on_observations_normalized_as_in_training(model, folder, e
     assert agent.training_steps == resolve(given, allow_pickle=True).training_steps == 8
 
 
+@pytest.mark.parametrize("given", ["file", "object", "by label"])
+def test_a_model_that_was_loaded_is_given_its_statistics_or_refused(model, folder, env, given):
+    statistics = {
+        "file": folder / "vec_normalize.pkl",
+        "object": model.get_env(),
+        "by label": {"PPO": str(folder / "vec_normalize.pkl")},
+    }[given]
+    alone = folder / "alone" / "model.zip"
+    alone.parent.mkdir()
+    shutil.copy(folder / "model.zip", alone)
+    for source in (PPO.load(folder / "model", device="cpu"), alone):
+        with pytest.raises(UserError, match=r"must have the statistics .* say --statistics FILE"):
+            mmc_gym.make_agent(source, env, allow_pickle=True)
+        if given != "by label" or source is not alone:
+            told = {"statistics": statistics, "allow_pickle": True}
+            assert acts_as(model, mmc_gym.make_agent(source, env, **told), env)
+            (found,) = resolve_all([source], **told)
+            assert found.fingerprint == resolve(model).fingerprint
+            assert found.training_seed == (5 if source is alone else None)
+    with pytest.raises(UserError, match="must be for a model of stable-baselines3"):
+        compare(["mmc"], episodes=1, statistics=model.get_env())
+    with pytest.raises(UserError, match="statistics of mmc must be for a model of stable-base"):
+        compare([model, "mmc"], episodes=1, statistics={"mmc": model.get_env()})
+    with pytest.raises(UserError, match="statistics must be a VecNormalize, or the path of its"):
+        compare([model], episodes=1, statistics=3)
+    with pytest.raises(UserError, match=r"vec_normalize.pkl' holds pickles"):
+        compare([model], episodes=1, statistics=folder / "vec_normalize.pkl")
+
+
+def test_a_model_that_was_loaded_into_its_normalization_needs_no_more(model, folder, env):
+    plain = make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL})
+    with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
+        mmc_gym.make_agent(PPO.load(folder / "model", env=plain, device="cpu"), env)
+    normalized = VecNormalize.load(str(folder / "vec_normalize.pkl"), plain)
+    loaded = PPO.load(folder / "model", env=normalized, device="cpu")
+    assert acts_as(model, mmc_gym.make_agent(loaded, env), env)
+
+
+@pytest.mark.parametrize("kind", [PPO, SAC])
+def test_a_model_whose_rewards_alone_were_normalized_needs_no_statistics(kind, tmp_path, env):
+    envs = VecNormalize(make_vec_env("MMCReach-v0", 1), norm_obs=False)
+    model = kind("MlpPolicy", envs, device="cpu", **(TINY if kind is PPO else OFF_POLICY)).learn(12)
+    model.save(tmp_path / "model")
+    observation, _ = env.reset(seed=1)
+    expected, _ = model.predict(observation, deterministic=True)
+    for source in (kind.load(tmp_path / "model", device="cpu"), tmp_path / "model.zip"):
+        agent = mmc_gym.make_agent(source, env, allow_pickle=True)
+        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
+
+
 def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatch):
     monkeypatch.setattr("pickle.loads", None)
     monkeypatch.setattr("cloudpickle.loads", None)
@@ -130,7 +184,8 @@ def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(fold
         found = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)
         return found.controls["mine"]
 
-    for source in (bare, lambda env: PPO.load(bare, device="cpu")):
+    trained().save(tmp_path / "plain")
+    for source in (bare, lambda env: PPO.load(tmp_path / "plain", device="cpu")):
         with pytest.warns(MismatchWarning, match=f"mine {default}"):
             assert control_of(source) == "joint_delta"
         assert control_of(source, env_kwargs={"control": CONTROL}) == CONTROL
@@ -150,6 +205,26 @@ def test_of_several_files_of_statistics_a_model_takes_its_own(folder, steps):
     statistics.unlink()
     with pytest.raises(UserError, match="must have one file of VecNormalize in its folder"):
         _ = resolve(model).model.statistics
+
+
+def test_the_folder_of_rl_zoo3_has_its_statistics_inside(folder, model, env):
+    """Beside its settings, in a folder named after the environment."""
+    inside = folder / "MMCReach-v0"
+    inside.mkdir()
+    (folder / "vec_normalize.pkl").rename(inside / "vecnormalize.pkl")
+    with pytest.raises(UserError, match="must have the statistics"):  # of anybody
+        mmc_gym.make_agent(folder, env, allow_pickle=True)
+    (inside / "config.yml").write_text("normalize: true")
+    assert acts_as(model, mmc_gym.make_agent(folder, env, allow_pickle=True), env)
+
+
+@pytest.mark.parametrize("name", ["model", "lr_0.001"])
+def test_a_model_is_found_by_the_name_it_was_saved_by(name, tmp_path, monkeypatch):
+    """stable-baselines3 adds .zip to a name without a dot."""
+    monkeypatch.chdir(tmp_path)
+    trained().save(name)
+    assert resolve(name).training_steps == 8
+    assert resolve(f"./{name}").label == name
 
 
 def test_a_model_is_refused_where_a_wrapper_of_its_training_is_missing(env):
@@ -206,9 +281,53 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
     assert resolved not in (None, resolve("sb3.zip").fingerprint)
 
 
+def remembering(env):
+    return MemoryObservation(env, [1, 2])
+
+
+def test_a_model_with_a_memory_is_compared_in_the_same_memory(tmp_path):
+    arms = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
+    model = PPO("MlpPolicy", VecNormalize(Memory(GymnasiumVecEnv(arms), [1, 2])), **TINY).learn(16)
+    model.save(tmp_path / "file")
+    given = {"episodes": 1, "wrapper": {"file": remembering}, "allow_pickle": True}
+    given["env_kwargs"] = {"control": "joint_delta"}
+    given["statistics"] = {"file": model.get_env()}
+    found = compare({"object": model, "file": tmp_path / "file"}, **given)
+    hands = [found.recorded[label][0].hands for label in ("object", "file")]
+    np.testing.assert_array_equal(*hands)
+    # As stable-baselines3 lets it act in its own environment.
+    env, seen = remembering(gym.make("MMCReach-v0")), []
+    memory = Memory(make_vec_env("MMCReach-v0", 1), [1, 2])
+    memory.seed(3)
+    assert gym.make(env.spec).observation_space == memory.observation_space
+    pair = env.reset(seed=3)[0], memory.reset()[0]
+    for _ in range(102):
+        seen.append(pair)
+        action = env.action_space.sample()
+        observation, _, _, is_over, _ = env.step(action)
+        pair = env.reset()[0] if is_over else observation, memory.step(action[None])[0][0]
+    np.testing.assert_array_equal(*map(np.stack, zip(*seen)))
+
+
+def test_a_model_that_observed_the_context_is_shown_it(tmp_path):
+    drawn = {"perturbations": ["rotation--60..60"], "observe_context": True}
+    model = PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1, env_kwargs=drawn), **TINY)
+    model.save(tmp_path / "file")
+    shown = {"observe_context": "rotation--60..60"}
+    found = compare({"object": model, "mmc": "mmc"}, "rotation-30", episodes=1)
+    with pytest.raises(CannotActError, match="trained with the context say --env-kwargs obs"):
+        compare([tmp_path / "file"], "rotation-30", episodes=1, allow_pickle=True)
+    given = {"env_kwargs": {**shown, "control": "joint_delta"}, "allow_pickle": True}
+    other = compare({"file": tmp_path / "file"}, "rotation-30", episodes=1, **given)
+    np.testing.assert_array_equal(
+        found.recorded["object"][0].hands, other.recorded["file"][0].hands
+    )
+
+
 @pytest.mark.parametrize(
     ("wrapper", "message"),
     [
+        ("mmc_gym.training.vec_env:Memory", "must take a single environment, it raised TypeError"),
         ("builtins:repr", "wrapper must be a function that returns an environment"),
         ("no_module:stack", "wrapper 'no_module:stack' cannot be imported"),
         ("other=builtins:repr", "agent of wrapper 'other' .* may be PPO or mmc"),
@@ -253,8 +372,11 @@ def test_a_file_that_lacks_its_statistics_is_refused_or_warned_of(tmp_path, env)
 
     envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
     SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
-    with pytest.raises(UserError, match="must have the statistics of its VecNormalize"):
+    with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
         make()
+    envs = make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL})
+    with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
+        mmc_gym.make_agent(SAC.load(tmp_path / "mine", env=envs, device="cpu"), env)
     unbounded = lambda env: TransformObservation(env, lambda seen: seen, space)  # noqa: E731
     space = gym.spaces.Box(-np.inf, np.inf, (15,))
     envs = make_vec_env("MMCReach-v0", 1, wrapper_class=unbounded)
@@ -269,6 +391,65 @@ def test_another_arm_is_warned_of_and_other_observations_are_refused(env):
     for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):
         with pytest.raises(CannotActError, match=r"must be of shape .* say --wrapper"):
             mmc_gym.make_agent(other, env)
+
+
+def test_a_model_for_goals_is_told_where_it_can_play(env):
+    goals = SAC("MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **OFF_POLICY)
+    with pytest.raises(CannotActError, match="let it play in MMCReachGoal-v0"):
+        mmc_gym.make_agent(goals, env)
+
+
+def test_a_warning_of_a_model_shows_the_line_of_the_user(folder):
+    with pytest.warns(MismatchWarning, match="does not declare the control mode") as caught:
+        compare([folder / "model.zip"], episodes=1, allow_pickle=True)
+    assert [one.filename for one in caught] == [__file__]
+
+
+EACH = {"PPO": PPO, "A2C": A2C, "SAC": SAC, "TD3": TD3, "DDPG": DDPG, "TQC": TQC, "TRPO": TRPO}
+EACH |= {"ARS": ARS, "CrossQ": CrossQ, "RecurrentPPO": RecurrentPPO, "HER": SAC}
+OPTIONS = {
+    "PPO": TINY,
+    "A2C": {},
+    "TRPO": {"n_steps": 64, "batch_size": 64},
+    "ARS": {"n_delta": 1},
+    "RecurrentPPO": {"n_steps": 64, "batch_size": 64},
+    "HER": {"buffer_size": 200, "learning_starts": 100, "replay_buffer_class": HerReplayBuffer},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_normalized", [False, True])
+@pytest.mark.parametrize("name", EACH)
+def test_every_algorithm_plays_the_same_as_object_file_and_folder(name, is_normalized, tmp_path):
+    env_id = "MMCReachGoal-v0" if name == "HER" else "MMCReach-v0"
+    policy = {"HER": "MultiInputPolicy", "RecurrentPPO": "MlpLstmPolicy"}.get(name, "MlpPolicy")
+    envs = make_vec_env(env_id, 1)
+    envs = VecNormalize(envs) if is_normalized else envs
+    options = {**deepcopy(OPTIONS.get(name, OFF_POLICY)), "seed": 1, "device": "cpu"}
+    model = EACH[name](policy, envs, **options).learn(150)
+    inside = tmp_path / "of_zoo" / env_id
+    inside.mkdir(parents=True)
+    for path in (tmp_path / "alone", tmp_path / "of_zoo" / env_id):
+        model.save(f"{path}.zip")
+    (inside / "config.yml").write_text("")
+    given = {}
+    if is_normalized:
+        envs.save(str(inside / "vecnormalize.pkl"))
+        given = {name: inside / "vecnormalize.pkl" for name in ("loaded", "file")}
+    fresh = make_vec_env(env_id, 1) if name == "HER" else None
+    models = {
+        "object": model,
+        "loaded": EACH[name].load(tmp_path / "alone", env=fresh, device="cpu"),
+        "file": tmp_path / "alone",
+        "folder": tmp_path / "of_zoo",
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MismatchWarning)  # of control modes
+        found = compare(models, env_id, episodes=2, allow_pickle=True, statistics=given)
+    expected = found.recorded["object"]
+    for label in models:
+        for one, other in zip(expected, found.recorded[label], strict=True):
+            np.testing.assert_array_equal(one.hands, other.hands)
 
 
 def test_what_is_no_model_is_an_error_of_the_user(tmp_path):
