@@ -6,6 +6,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from math import nan
 from typing import get_args
 
@@ -18,6 +19,8 @@ from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 NewParameters = list[tuple[Indices, ArmParameters]]  # of some arms, which may be `ArmColumns`
+MOST_SWEEPS = 500  # of pymunk's solver; with them, a step of three segments takes 0.1 ms
+_LARGEST_RATIO_OF_NEIGHBOURS = 10.0
 
 
 class SingleArm(ABC):
@@ -90,7 +93,13 @@ class SingleArm(ABC):
 
     @abstractmethod
     def step(self) -> None:
-        """Simulate one control step."""
+        """Simulate one control step; raise a `UserError` if the movement gets out of control."""
+
+    def _require_control(self) -> None:
+        fastest = self.parameters.fastest
+        for velocity in self.joint_velocities:
+            if not -fastest <= velocity <= fastest:  # true for NaN too
+                raise _out_of_control(fastest, self.joint_velocities)
 
     @abstractmethod
     def lock(self) -> None:
@@ -198,7 +207,13 @@ class ArmBatch(ABC):
 
     @abstractmethod
     def step(self) -> None:
-        """Simulate one control step of every arm."""
+        """Simulate one control step of every arm, see `SingleArm.step`."""
+
+    def _require_control(self) -> None:
+        fastest, velocities = self.parameters.fastest, self.joint_velocities
+        if not (velocities.max() <= fastest and velocities.min() >= -fastest):  # true for NaN too
+            arm = int(np.argmin((np.abs(velocities) <= fastest).all(axis=-1)))
+            raise _out_of_control(fastest, velocities[arm].tolist(), f" for arm {arm}")
 
     def lock(self, arms: ArrayLike) -> None:
         """Make the `lockable_joints` of arms with these indices rigid, see `SingleArm.lock`."""
@@ -257,8 +272,15 @@ class ArmBatch(ABC):
 
 
 def _checked(parameters: ArmParameters | None) -> ArmParameters:
-    """Return the parameters; raise a `UserError` if the force field cannot be simulated."""
+    """Return the parameters; raise a `UserError` if substeps cannot simulate masses or field."""
     p = parameters or ArmParameters()
+    neighbours = max((b.mass / a.mass for a, b in pairwise(p.rods)), default=0.0)
+    if p.sweeps > MOST_SWEEPS and neighbours > _LARGEST_RATIO_OF_NEIGHBOURS:
+        raise UserError(
+            "segment_masses and hand_mass must make an arm that substeps can hold together: no "
+            f"segment with its load may have {_LARGEST_RATIO_OF_NEIGHBOURS:.0f} times the mass of "
+            f"the one before it, got {neighbours:.3g} times"
+        )
     if p.force_field is not None:
         field = np.array(p.force_field)
         accepted = f"at most {p.strongest_field:.4g} mass/s strong in substeps of {p.substep:g} s"
@@ -270,6 +292,14 @@ def _checked(parameters: ArmParameters | None) -> ArmParameters:
         fine = bool(np.linalg.eigvalsh(field + field.T).max() <= 2 * p.strongest_push)
         require(fine, "force_field", p.force_field, accepted)
     return p
+
+
+def _out_of_control(fastest: float, velocities: list[float], whose: str = "") -> UserError:
+    return UserError(
+        f"joint velocities must stay below {fastest:.4g} rad/s, or substeps cannot follow them: "
+        "reset, and take shorter substeps, a larger drive_inertia, or weaker loads and forces; "
+        f"got {velocities}{whose}"
+    )
 
 
 def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:

@@ -28,6 +28,8 @@ from mmc_gym._errors import (
 Servo = Literal["position", "velocity", "torque"]
 _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
 _MOST_SUBSTEPS = 10_000
+_SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
+_SWEEPS_PER_LOAD = 12  # of the load at the hand, in the same unit
 _RANGES = {
     "speed_limit": (SMALLEST_SIZE, LARGEST_SIZE),
     "torque_limit": (SMALLEST_SIZE, 1e30),
@@ -197,6 +199,19 @@ class ArmParameters:
     def control_step(self) -> float:
         """Duration of a control step, s."""
         return self.substep * self.substeps
+
+    @property
+    def fastest(self) -> float:
+        """Joint speed that is out of control, rad/s: ten times the limit, half a turn a substep."""
+        return max(10 * self.speed_limit, math.pi / self.substep)
+
+    @property
+    def sweeps(self) -> float:
+        """Sweeps over the joints in a physics step that pymunk's solver needs for these masses."""
+        masses = self.masses
+        beyond = [_SWEEPS_PER_MASS * sum(masses[joint:]) for joint in range(len(masses))]
+        loads = _SWEEPS_PER_LOAD * self.hand_mass
+        return max((moved + loads) / mass for moved, mass in zip(beyond, masses))
 
 
 def _are_positive(numbers: tuple[float, ...]) -> bool:

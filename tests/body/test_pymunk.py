@@ -210,7 +210,7 @@ def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, post
     try:
         arm = PymunkArm(parameters, servo)
     except UserError as refusal:
-        assert re.search("an arm that pymunk can hold together: .* got .* times", str(refusal))
+        assert re.search("an arm that substeps can hold together: .* got .* times", str(refusal))
         return
     assert parameters.hand_mass < 1e4
     arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())

@@ -180,7 +180,8 @@ class AnalyticArmBatch(ArmBatch):
     def share_out(self, work: Callable[[int, int], None]) -> None:
         """Call `work(first, last)` for shares of the arms, each `first` to `last` - 1.
 
-        The calling thread does the first share, other threads one each.
+        The calling thread does the first share, other threads one each.  Then raise a `UserError`
+        if an arm is out of control, see `SingleArm.step`.
         """
         shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
         blocks = [len(self._state) * share // shares for share in range(1, shares)]
@@ -189,6 +190,7 @@ class AnalyticArmBatch(ArmBatch):
         work(*edges[:2])
         for other in others:
             other.result()
+        self._require_control()
 
     def command_arms(
         self, values: NDArray[np.floating], scale: float, is_relative: bool, first: int, last: int
@@ -247,6 +249,7 @@ class AnalyticArm(SingleArm):
     def step(self) -> None:
         self._arms.step_arms(0, 1)
         self._read()
+        self._require_control()
 
     def _read(self) -> None:
         numbers, count = self._arms._numbers.tolist(), self._count

@@ -131,6 +131,7 @@ class PymunkArm(SingleArm):
         if walls is not None:
             self.contact = walls.contacts[0].tolist()
         self._read()
+        self._require_control()
 
     def _velocities(self) -> list[float]:
         """Return the present joint velocities, within a control step too."""

@@ -335,6 +335,7 @@ class PymunkArmBatch(ArmBatch):
         for each in running:
             each.result()
         self._derive(slice(None))
+        self._require_control()
 
     def _simulate(self, group: ArmGroup) -> None:
         arms, effort = group.arms, None

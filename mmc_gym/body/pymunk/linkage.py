@@ -10,7 +10,6 @@ ten times less than in the order from the base outward.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from math import cos, sin
@@ -21,18 +20,14 @@ import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import BodyFields
 
-from mmc_gym._errors import UserError
-from mmc_gym.body.base import Floats
+from mmc_gym.body.base import MOST_SWEEPS, Floats
 from mmc_gym.body.parameters import ArmParameters, Servo
 
 # What a force field needs of each body: x, y, angle, and their velocities.
 MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
-_FEWEST_SWEEPS, _MOST_SWEEPS = 20, 500  # with the most, a step of three segments takes 0.1 ms
+_FEWEST_SWEEPS = 20
 FULL = 1 - 1e-9  # share of a servo's largest impulse that counts as all of it
-_SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
-_SWEEPS_PER_LOAD = 12  # of the load at the hand, in the same unit
-_LARGEST_RATIO_OF_NEIGHBOURS = 10.0
 _LEFT = np.array([-1.0, 1.0])  # (y, x) times this is (x, y) turned left by a right angle
 _STRONG = 1e4  # rad/s, the speed that a strong servo gives a free segment in a physics step
 
@@ -45,26 +40,11 @@ def solver_iterations(parameters: ArmParameters) -> int:
     segment, relative to the segment's own.  Arms of up to three segments of default masses take 20:
     after 2 s of random commands their joint angles differ from those of 1,000 sweeps by 0.002 rad
     in the median.  Servos that are far too strong for their segments need ten times as many.
-
-    Raises:
-        UserError: if too many would be needed.
     """
-    rods, masses = parameters.rods, parameters.masses
-    sweeps = 0.0
-    for joint, mass in enumerate(masses):
-        beyond = _SWEEPS_PER_MASS * sum(masses[joint:]) + _SWEEPS_PER_LOAD * parameters.hand_mass
-        sweeps = max(sweeps, beyond / mass)
-    neighbours = max((b.mass / a.mass for a, b in itertools.pairwise(rods)), default=0.0)
-    if sweeps > _MOST_SWEEPS and neighbours > _LARGEST_RATIO_OF_NEIGHBOURS:
-        raise UserError(
-            "segment_masses and hand_mass must make an arm that pymunk can hold together: no "
-            f"segment with its load may have {_LARGEST_RATIO_OF_NEIGHBOURS:.0f} times the mass of "
-            f"the one before it, got {neighbours:.3g} times"
-        )
-    lightest = min(rod.inertia for rod in rods)
+    lightest = min(rod.inertia for rod in parameters.rods)
     strong = parameters.torque_limit * parameters.substep / lightest > _STRONG
-    sweeps = min(max(_FEWEST_SWEEPS, sweeps), _MOST_SWEEPS)
-    return min(round(sweeps * (10 if strong else 1)), 3 * _MOST_SWEEPS)
+    sweeps = min(max(_FEWEST_SWEEPS, parameters.sweeps), MOST_SWEEPS)
+    return min(round(sweeps * (10 if strong else 1)), 3 * MOST_SWEEPS)
 
 
 class Linkage:
