@@ -201,6 +201,10 @@ class ArmBatch(ABC):
             self._lockable[some] = ArmColumns.of(p).lockable(len(some))
         self._place(chosen, postures, speeds, new)
 
+    def can_become(self, arm: int, parameters: ArmParameters) -> bool:
+        """Return whether a reset can give an arm these parameters, which the engine accepts."""
+        return True
+
     def command(self, values: ArrayLike) -> None:
         """Set values (count, N) for the servos, see `SingleArm.command`."""
         self._command(_table("values", values, self._shape))

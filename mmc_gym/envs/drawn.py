@@ -172,7 +172,8 @@ class Draws:
     def _number(self, name: str, distribution: Any, chosen: tuple[int, int] | None) -> int:
         same = sum(one.name.partition("#")[0] == name for one in self.strengths)
         name = f"{name}#{same + 1}" if same else name
-        whole = not (distribution.ppf(np.linspace(0.01, 0.99, 50)) % 1).any()
+        are_whole = not (distribution.ppf(np.linspace(0.01, 0.99, 50)) % 1).any()
+        whole = getattr(distribution, "whole", are_whole)
         self.strengths.append(Strength(name, distribution, *ends_of(distribution), chosen, whole))
         return len(self.strengths) - 1
 
@@ -244,14 +245,6 @@ class Draws:
             columns.append((2 * share - 1) * (is_chosen(*one.chosen) if one.chosen else 1.0))
         return np.stack(columns, axis=-1).astype(np.float32)
 
-    def set(self, numbers: Floats, context: dict[str, Floats] | None) -> Floats:
-        """Return drawn numbers, (k, m), overwritten by those of a context that are not NaN."""
-        for place, one in enumerate(self.strengths):
-            given = (context or {}).get(one.name)
-            if given is not None:
-                numbers[:, place] = np.where(np.isnan(given), numbers[:, place], given)
-        return numbers
-
     def perturbations(self, numbers: Floats) -> list[Perturbation]:
         """Return the perturbations of an arm, from (m,), or of k arms as arrays, from (k, m).
 
@@ -275,6 +268,14 @@ class Draws:
                 made = part.make(columns)
                 found.append(made if part.chosen is None else made.grown(is_chosen * 1.0))
         return found
+
+    @property
+    def changes_body(self) -> bool:
+        """Whether the body may depend on what is drawn."""
+        kinds = [
+            type(_untimed(one.perturbation)) for one in self._parts if one.places or one.chosen
+        ]
+        return any(kind.change_body is not Perturbation.change_body for kind in kinds)
 
     @property
     def may_be_alone(self) -> bool:

@@ -138,8 +138,8 @@ class Family:
             raise UserError(f"{self.name} takes no strength, got {_digits(strength)}")
         name = f"{self.name}-{_digits(strength)}"
         if isinstance(strength, Range):
-            accepted = "from a low to a higher strength"
-            fine = strength.low < strength.high
+            accepted = "from a low to a higher strength, or to the same"
+            fine = strength.low <= strength.high
             require(fine, f"the range of {self.name}", _digits(strength), accepted)
             accepted = "left out, as agents are given their arm once, not for each episode"
             require(not known, name, "-known", accepted)

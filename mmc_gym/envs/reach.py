@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require_array
@@ -25,7 +26,7 @@ from mmc_gym.envs.spec import (
     RewardSettings,
     require_finite_numbers,
 )
-from mmc_gym.envs.workspace import Point, distances, uniform_numbers
+from mmc_gym.envs.workspace import Point, distances
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
@@ -171,10 +172,12 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         """
         of_all = self._of_all
         checked = of_all.check_options(options)
+        if checked.context is not None:
+            random = self.np_random if seed is None else seeding.np_random(seed)[0]
+            of_all.episodes_beyond(checked.context, [random])
         super().reset(seed=seed)
         if of_all.draws is not None:
-            drawn = uniform_numbers([self.np_random], len(of_all.draws.strengths))
-            numbers = of_all.draws.set(of_all.draws.numbers(drawn), checked.context)[0]
+            numbers = of_all.drawn([self.np_random], checked.context)[0]
             self._begin(of_all.episode(numbers))
             self._numbers, self._shown = numbers, of_all.context_of(numbers[None])[0]
         elif self.setup is not of_all:

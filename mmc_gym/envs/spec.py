@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy, deepcopy
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -50,7 +50,15 @@ from mmc_gym.envs.perturbations import (
     timed_parts,
 )
 from mmc_gym.envs.tasks import RandomTarget, Request, Trial
-from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace, rings, shared_ring
+from mmc_gym.envs.workspace import (
+    REACH_TOLERANCE,
+    NoTarget,
+    Point,
+    Workspace,
+    rings,
+    shared_ring,
+    uniform_numbers,
+)
 from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_speeds
 
 _MOST_TRIALS = 300
@@ -64,7 +72,8 @@ class Options(NamedTuple):
     joint_angles: list[float] | None = None
     target: Point | None = None
     trial: int | None = None
-    context: dict[str, NDArray[np.float64]] | None = None  #: drawn numbers by name, (n,) for n arms
+    #: drawn numbers of all n arms, (n, m); NaN where they are not given
+    context: NDArray[np.float64] | None = None
 
     @property
     def has_trial(self) -> bool:
@@ -238,11 +247,7 @@ class ReachSetup:
         every = []
         for numbers in samples:
             try:
-                every.append(one := self.episode(numbers, is_checked=True))
-                one.task.check(one.workspace)
-                one.draw_trial(np.random.default_rng(0), Options())
-                if one.body != every[0].body or len(every) == 1:
-                    make_arm(self.engine, one.body, self.action.servo)
+                every.append(self._possible_episode(numbers))
             except UserError as error:
                 drawn = ", ".join(f"{k}={v:g}" for k, v in draws.context(numbers).items())
                 raise UserError(
@@ -251,17 +256,14 @@ class ReachSetup:
         bodies = [one.body for one in every]
         same = {(one.joint_limits is None, one.control_step) for one in bodies}
         require(len(same) == 1, "perturbations", bodies[0], "with joint limits always or never")
-        self.arms_differ = any(body != bodies[0] for body in bodies)
+        self.arms_differ = draws.changes_body or any(body != bodies[0] for body in bodies)
         accepted = "without a drawn body if a load or force field begins within an episode"
         require(not (self.loads and self.arms_differ), "perturbations", self.loads, accepted)
         self.others = bodies if self.arms_differ else self.others
         self.steps_lock = any(one.lock_steps > 0 for one in every)
-        self.delay = max(one.delay for one in every)
-        self.vision_delay = max(one.vision_delay for one in every)
         self.farthest = max(one.farthest for one in every)
-        self.are_senses_disturbed = bool(self.noises or self.delay)
-        self.is_sight_disturbed = self.is_sight_disturbed or bool(self.vision_delay)
-        self.layout = replace(self.layout, is_clipped=self._may_exceed_limits)
+        self.make_room(every)
+        self.layout = replace(self.layout, is_clipped=True)  # a given context may be beyond ranges
         are_many = ~draws.are_alone(samples)
         every = [one for one, is_many in zip(every, are_many.tolist(), strict=True) if is_many]
         samples = samples[are_many]
@@ -279,6 +281,64 @@ class ReachSetup:
                 self.draws_pairs = all(alike) or (not many.body and not self.arms_differ)
             except (TypeError, ValueError, UserError):
                 self.draws_pairs = False
+
+    def make_room(self, episodes: Iterable[ReachSetup]) -> None:
+        """Make room for the delays of these episodes."""
+        for one in episodes:
+            self.delay = max(self.delay, one.delay)
+            self.vision_delay = max(self.vision_delay, one.vision_delay)
+        self.are_senses_disturbed = bool(self.noises or self.delay)
+        self.is_sight_disturbed = self.is_sight_disturbed or bool(self.vision_delay)
+
+    def _possible_episode(self, numbers: NDArray[np.float64]) -> ReachSetup:
+        """Return the setup of an episode; raise a `UserError` if it cannot be played."""
+        one = self.episode(numbers, is_checked=True)
+        one.task.check(one.workspace)
+        one.draw_trial(np.random.default_rng(0), Options())
+        if one.body != self.body:
+            make_arm(self.engine, one.body, self.action.servo)
+        return one
+
+    def drawn(
+        self, randoms: Sequence[np.random.Generator], context: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """Return the numbers, (k, m), that k generators draw, with those of a context in place."""
+        assert self.draws is not None
+        numbers = self.draws.numbers(uniform_numbers(randoms, len(self.draws.strengths)))
+        return numbers if context is None else np.where(np.isnan(context), numbers, context)
+
+    def episodes_beyond(
+        self, context: NDArray[np.float64], randoms: Sequence[np.random.Generator]
+    ) -> dict[int, ReachSetup]:
+        """Return the episodes, by row of the context, that are beyond what may be drawn.
+
+        The generators stay as they are.  If there are several, an error names the row as the arm.
+        """
+        if self.draws is None:
+            return {}
+        low, high, whole = np.transpose([(s.low, s.high, s.whole) for s in self.draws.strengths])
+        is_beyond = (context < low) | (context > high)
+        is_beyond |= (context > np.floor(context)) & (whole > 0)
+        episodes = {}
+        for row in np.flatnonzero(is_beyond.any(axis=1)).tolist():
+            numbers = self.drawn([deepcopy(randoms[row])], context[[row]])[0]
+            try:
+                for one, number in zip(self.draws.strengths, context[row].tolist(), strict=True):
+                    accepted = f"a whole number from {one.low:g} to {one.high:g}"
+                    is_listed = one.low <= number <= one.high and number.is_integer()
+                    fine = not one.whole or is_listed or math.isnan(number)
+                    require(fine, one.name, number, accepted)
+                episodes[row] = episode = self._possible_episode(numbers)
+                accepted = f"at most {self.farthest:g}, as the observation space has it"
+                is_inside = self.layout.is_clipped or episode.farthest <= self.farthest
+                require(is_inside, "the reach", episode.farthest, accepted)
+            except UserError as error:
+                whose = f" for arm {row}" if len(randoms) > 1 else ""
+                drawn = self.draws.context(numbers)
+                raise UserError(
+                    f"options['context'] must be possible, got {drawn}{whose}: {error}"
+                ) from error
+        return episodes
 
     def episodes(self, numbers: NDArray[np.float64]) -> Episodes:
         """Return the episodes of k arms that have drawn `numbers`, (k, m)."""
@@ -491,11 +551,11 @@ class ReachSetup:
         path = require_rows(f"targets of {name}", trial[1], accepted, is_reachable, counts)
         return Trial(posture, [(x, y) for x, y in path])
 
-    def check_options(self, options: dict[str, Any] | None) -> Options:
+    def check_options(self, options: dict[str, Any] | None, count: int | None = None) -> Options:
         """Return the options of a reset, checked; raise a `UserError` if one cannot be accepted.
 
         Options must be known and respect joint limits, reach and obstacles, and locked joints must
-        leave a target in reach.
+        leave a target in reach.  `count` is that of the arms of a vector.
         """
         options = {} if options is None else options
         accepted = "a mapping with 'joint_angles', 'target', 'trial' or 'context'"
@@ -507,7 +567,7 @@ class ReachSetup:
             None if posture is None else self._check_posture(posture),
             None if target is None else self.check_target("options['target']", target),
             None if trial is None else self._check_trial(trial),
-            None if context is None else self._check_context(context),
+            None if context is None else self._check_context(context, count),
         )
         if self.workspace.locked and posture is not None:
             try:
@@ -517,29 +577,22 @@ class ReachSetup:
                 raise UserError(f"{name} must be {accepted}, got {checked.joint_angles}") from error
         return checked
 
-    def _check_context(self, context: Any) -> dict[str, NDArray[np.float64]]:
-        strengths = {one.name: one for one in self.draws.strengths} if self.draws else {}
+    def _check_context(self, context: Any, count: int | None) -> NDArray[np.float64]:
+        """Return the numbers of a context as in `Options`."""
+        names = [one.name for one in self.draws.strengths] if self.draws else []
         name = "options['context']"
         require(isinstance(context, Mapping), name, context, "a mapping of numbers by name")
-        checked = {}
+        numbers = np.full((count or 1, len(names)), np.nan)
+        accepted = "a number" if count is None else f"a number, or {count} of them"
         for key, value in context.items():
             if str(key).startswith("_"):  # the masks of Gymnasium's vector infos
                 continue
-            require_choice(name, key, list(strengths))
-            one = strengths[key]
-            array = require_array(f"{name}[{key!r}]", value).astype(np.float64)
-            require(not np.isinf(array).any(), f"{name}[{key!r}]", value, "finite")
-            if one.whole:
-                fine = np.isin(array[~np.isnan(array)], np.arange(one.low, one.high + 1)).all()
-                accepted = f"a whole number from {one.low:g} to {one.high:g}"
-                require(bool(fine), f"{name}[{key!r}]", value, accepted)
-            checked[key] = array
-        if self.draws and not any(one.ndim for one in checked.values()):
-            try:
-                self.episode(self.draws.set(self.draws.samples()[:1], checked)[0], is_checked=True)
-            except UserError as error:
-                raise UserError(f"{name} must be possible, got {context}: {error}") from error
-        return checked
+            require_choice(name, key, names)
+            array = require_array(f"{name}[{key!r}]", value, accepted)
+            fine = array.shape == () or array.shape == (count,)
+            require(fine, f"{name}[{key!r}]", value, accepted)
+            numbers[:, names.index(key)] = array
+        return numbers
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
         name, body = "options['joint_angles']", self.body
@@ -591,14 +644,17 @@ def _changed(change: Change, body: ArmParameters) -> ArmParameters:
 class GoalSetup(ReachSetup):
     """The setup that is derived from the arguments of a goal environment."""
 
-    def __init__(self, arguments: ReachArguments) -> None:
-        super().__init__(arguments)
+    def _perturb(self, changes: Sequence[Change], is_checked: bool = True) -> None:
+        super()._perturb(changes, is_checked)
         if self.is_sight_disturbed or self.delay or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
                 f"no noise, no delay and no via points, got task={self.task}, "
                 f"perturbations={self.perturbations}"
             )
+
+    def __init__(self, arguments: ReachArguments) -> None:
+        super().__init__(arguments)
         self.layout = replace(self.layout, is_clipped=False, has_goals=True)
         # Rounding may put a goal beyond the reach, by as much as is accepted of a target.
         farthest = self.farthest * (1 + REACH_TOLERANCE)

@@ -109,24 +109,32 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
-        self._randoms: list[np.random.Generator] = []
+        generators = [seeding.np_random() for _ in range(num_envs)]
+        self._randoms, self._seeds = map(list, zip(*generators, strict=True))
         self._paths = np.zeros((num_envs, setup.path_length, 2))
         self._steps, self._places, self._last_places = np.zeros((3, num_envs), dtype=np.intp)
         self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         # Observations on their way, oldest first: that one is shown.
-        plain = setup.plain_space
         self._newest = 0  # place of the newest observation in `_line`, which holds those of `_late`
-        self._delay_by([create_empty_array(plain, num_envs)], setup.delay)
+        self._late: list[Any] = [create_empty_array(setup.plain_space, num_envs)]
         # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
-        self._sights = np.zeros((setup.vision_delay + 1, num_envs, 2, 2))
+        self._sights = np.zeros((1, num_envs, 2, 2))
         self._hand_sight = HandSight(num_envs, setup.unperturbed.control_step)
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
 
             self._compiled = CompiledStep(setup, cast("AnalyticArmBatch", self._body))
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Make room for delays that the setup allows, and see whether a step can be fused."""
+        setup = self.setup
+        self._delay_by(self._late, setup.delay)
+        more = setup.vision_delay + 1 - len(self._sights)
+        self._sights = np.concatenate([self._sights[:1]] * max(more, 0) + [self._sights])
         # Whether a thread may take its arms through a whole step without waiting for the others.
         self._is_fused = (
             self._compiled is not None
@@ -146,17 +154,31 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Start episodes of all arms, or of those that `options["reset_mask"]`, (n,) bool, chooses.
 
         The first arm has the `seed`, the next `seed` + 1 and so on; or there is one for each.  The
-        other options are those of `MMCReachEnv.reset`, the same for all arms.  If an argument is
-        not accepted, the arms stay as they were.
+        other options are those of `MMCReachEnv.reset`, the same for all arms, but numbers of a
+        context may be (n,).  If an argument is not accepted, the arms stay as they were.
         """
         if isinstance(options, Mapping):
             options = dict(options)
         mask = options.pop("reset_mask", None) if isinstance(options, dict) else None
         mask = check_mask(mask, self.num_envs)
-        checked = self.setup.check_options(options)
+        arms, checked = np.flatnonzero(mask), self.setup.check_options(options, self.num_envs)
         seeds = check_seeds(seed, self.num_envs)
-        self._seed([one if chosen else None for one, chosen in zip(seeds, mask, strict=True)])
-        arms = np.flatnonzero(mask)
+        seeds = [seed if chosen else None for seed, chosen in zip(seeds, mask, strict=True)]
+        generators = [
+            old if seed is None else seeding.np_random(seed)
+            for *old, seed in zip(self._randoms, self._seeds, seeds, strict=True)
+        ]
+        if checked.context is not None:
+            checked.context[~mask] = np.nan
+            beyond = self.setup.episodes_beyond(checked.context, [one for one, _ in generators])
+            accepted = "such that this vector's arms can have it: make one with wider ranges"
+            for arm, episode in beyond.items():
+                name = f"options['context'] for arm {arm}"
+                can_become = self._body.can_become(arm, episode.body)
+                require(can_become, name, episode.perturbations, accepted)
+            self.setup.make_room(beyond.values())
+            self._make_room()
+        self._randoms, self._seeds = map(list, zip(*generators, strict=True))
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
         observation, _, info = self._look_at(arms)
@@ -241,9 +263,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             setup,
             setup.draws,
         )
-        self._delay_by(self._late, setup.delay)
-        more = setup.vision_delay + 1 - len(self._sights)
-        self._sights = np.concatenate([self._sights[:1]] * max(more, 0) + [self._sights])
+        self._make_room()
 
     @property
     def arms(self) -> ArmBatch:
@@ -263,14 +283,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.max_episode_steps == registered.max_episode_steps:  # no other was given
             super()._check_length(registered)
 
-    def _seed(self, seeds: Sequence[int | None]) -> None:
-        """Give each arm a generator with its seed; without a seed it keeps its generator."""
-        if not self._randoms:
-            self._randoms = [seeding.np_random()[0] for _ in self._all]
-        for arm, seed in enumerate(seeds):
-            if seed is not None:
-                self._randoms[arm] = seeding.np_random(seed)[0]
-
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw perturbations and a trial for each of these arms, and put it at its start."""
         setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
@@ -279,8 +291,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         together = not is_alone.any() and not (setup.draws and setup.draws.may_be_alone)
         uniform = uniform_numbers(randoms, count + more * together)
         if setup.draws is not None:
-            context = {name: of_arms(one, arms) for name, one in (options.context or {}).items()}
-            numbers = setup.draws.set(setup.draws.numbers(uniform[:, :count]), context)
+            numbers = setup.draws.numbers(uniform[:, :count])
+            if options.context is not None:
+                context = options.context[arms]
+                numbers = np.where(np.isnan(context), numbers, context)
             self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
             self._context = {}
             is_alone |= setup.draws.are_alone(numbers)
@@ -595,10 +609,10 @@ def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
 
 
 def of_arms(values: Any, arms: Indices) -> Any:
-    """Return what an info, or an option for all arms alike, has for these arms."""
+    """Return what an info has for these arms."""
     if isinstance(values, dict):
         return {name: one[arms] for name, one in values.items() if not name.startswith("_")}
-    return values[arms] if values.ndim else values
+    return values[arms]
 
 
 def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:

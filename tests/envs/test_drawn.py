@@ -166,6 +166,86 @@ def test_a_context_given_as_an_option_repeats_an_episode(engine):
             env.reset(options={"context": wrong})
 
 
+BEYOND = {
+    "longer-0..20+gain-0.8..1.4": {"longer": [10, 60, -40, 20], "gain": [1.0, 1.2, 0.4, 3.0]},
+    "hand-mass-0..3+gravity-0..60": {"hand-mass": [0, 9, 3, 40], "gravity": [0, 90, -60, 30]},
+    "delay-0..8+vision-delay-0..8": {"delay": [0, 100, 60, 0], "vision-delay": [80, 0, 60, 0]},
+    "locks-1..3+rotation-0..0": {"locks": [1, 2, 3, np.nan], "rotation": [0, 60, 720, -30]},
+}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", BEYOND)
+def test_arms_with_a_context_beyond_their_ranges_are_single_arms(name, engine):
+    context = {key: np.array(values, float) for key, values in BEYOND[name].items()}
+    many = mmc_gym.make_vec(name, 4, engine=engine)
+    many.reset(seed=3)
+    many.step(np.zeros((4, 3), np.float32))
+    native = [many.reset(seed=7, options={"context": context})]
+    actions = np.random.default_rng(0).uniform(-1, 1, (12, 4, 3)).astype(np.float32)
+    native += [many.step(action) for action in actions]
+    for arm in range(4):
+        single = mmc_gym.make(name, engine=engine)
+        own = {key: values[arm] for key, values in context.items()}
+        played = [single.reset(seed=7 + arm, options={"context": own})]
+        played += [single.step(action[arm]) for action in actions]
+        for (seen, *_, info), (expected, *_, facts) in zip(native, played, strict=True):
+            assert_same(seen[arm], expected)
+            assert_same(info["distance"][arm], facts["distance"])
+            assert expected in single.observation_space
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("name", "context", "message"),
+    [
+        ("hand-mass-0..3", {"hand-mass": [0, -150]}, "hand_mass must be from 0"),
+        ("longer-0..20", {"longer": [0, -100]}, "factor must be positive"),
+        ("force-field-0..60", {"force-field": [0, 500]}, "force_field must be at most 160"),
+        ("gain-0.5..2", {"gain": [1, -3]}, "factor must be positive"),
+        ("joint-noise-0..0.05", {"joint-noise": [0, -1]}, "std must be from 0"),
+        ("gravity-0..60", {"gravity": [0, 1e12]}, "gravity must be at most 1e\\+09"),
+        ("hand-mass-0..3", {"hand-mass": [0, 1e4]}, "must make an arm that substeps can hold"),
+        ("locks-1..3", {"locks": [1, 4]}, "locks must be a whole number from 1 to 3, got 4"),
+        ("rotation-0..60", {"rotation": [0, np.inf]}, "degrees must be a finite number, got inf"),
+        (
+            "longer-0..20+force-field-0..60",
+            {"longer": [9, 500], "force-field": 150},
+            "leave targets in reach",
+        ),
+        (["rotation-0..60", OneOf("gain-1..2", None)], {"gain": -1, "choice": [1, 0]}, "factor"),
+    ],
+)
+def test_a_vector_refuses_the_contexts_that_a_single_arm_refuses(name, context, message, engine):
+    name, made = (name, {}) if isinstance(name, str) else ("random", {"perturbations": name})
+    made["engine"] = engine
+    single, whole = mmc_gym.make(name, **made), mmc_gym.make_vec(name, 2, **made)
+    untouched, alone = mmc_gym.make_vec(name, 2, **made), mmc_gym.make(name, **made)
+    last = {key: values if np.isscalar(values) else values[1] for key, values in context.items()}
+    actions = np.random.default_rng(0).uniform(-1, 1, (110, 2, 3)).astype(np.float32)
+    for one in (single, whole, untouched, alone):
+        one.reset(seed=3)
+    with pytest.raises(UserError, match=message):
+        single.reset(seed=5, options={"context": last})
+    for given in ({"seed": 5}, {}):
+        with pytest.raises(UserError, match=f"(?s)(for arm 1.*{message}|{message}.* for arm 1)"):
+            whole.reset(**given, options={"context": context})
+    assert_same(single.reset(), alone.reset())
+    for action in actions:
+        assert_same(whole.step(action), untouched.step(action))
+    kept = {"reset_mask": np.array([True, False]), "context": context}
+    whole.reset(options=kept)  # the arm whose context is impossible is not reset
+
+
+@pytest.mark.parametrize("wrong", [[30.0], [30.0] * 3, [[30.0, 30.0]], "30", None, [1j, 2]])
+def test_a_context_has_a_number_for_each_arm(wrong):
+    vector, single = mmc_gym.make_vec("rotation-0..60", 2), mmc_gym.make("rotation-0..60")
+    with pytest.raises(UserError, match="must be a number, or 2 of them, got"):
+        vector.reset(options={"context": {"rotation": wrong}})
+    with pytest.raises(UserError, match="must be a number, got"):
+        single.reset(options={"context": {"rotation": wrong}})
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("drawn", "context", "fixed"),

@@ -60,17 +60,18 @@ class ArmGroup:
         self._servo, self._may_differ = servo, bool(others)
         gravities_differ = len({p.gravity for p in every}) > 1
         masses_are_1 = all(rod.mass == 1.0 for p in every for rod in p.rods)
-        self._is_apart = (
+        self.sweeps = solver_iterations(parameters)  #: of all arms that share a Space
+        self.is_apart = (
             (gravities_differ and not masses_are_1)
             or len(set(map(solver_iterations, every))) > 1
             or any(p.obstacles for p in every)
         )
         #: whether forces stand for gravity
-        self._is_pulled = gravities_differ and not self._is_apart
+        self._is_pulled = gravities_differ and not self.is_apart
         self._shape = count, len(parameters.segment_lengths)
-        spaces, arms_per_space = (count, 1) if self._is_apart else (1, count)
+        spaces, arms_per_space = (count, 1) if self.is_apart else (1, count)
         self._segments_per_space = arms_per_space * self._shape[1]
-        bodies = self._segments_per_space + self._is_apart  # all obstacles are the last
+        bodies = self._segments_per_space + self.is_apart  # all obstacles are the last
         self._buffer = Buffer()
         self._pushes = np.zeros((spaces, bodies, 3))  # of each body: force x, y and torque
         self._push_buffers = [Buffer() for _ in range(spaces)]
@@ -81,7 +82,7 @@ class ArmGroup:
         self.walls: Walls | None = None
         self._spaces = [make_space(parameters) for _ in range(spaces)]
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
-        self.linkages = [Linkage(space, parameters, servo, self._is_apart) for space in by_arm]
+        self.linkages = [Linkage(space, parameters, servo, self.is_apart) for space in by_arm]
         self._collect()
 
     def _collect(self) -> None:
@@ -207,13 +208,13 @@ class ArmGroup:
         """Place the arms `members` of the group; `scratch` is an empty Space."""
         of_members = parameters or [self.linkages[member].parameters for member in members]
         for member, p in zip(members, of_members):
-            is_possible = self._is_apart or self.linkages[member].can_become(p)
+            is_possible = self.is_apart or self.linkages[member].can_become(p)
             require(is_possible, "parameters", p, "such as those of `others`, or between them")
         kept = []
         for member, p in zip(members, of_members):
-            linkage, space = self.linkages[member], self._spaces[member * self._is_apart]
+            linkage, space = self.linkages[member], self._spaces[member * self.is_apart]
             # Chipmunk remembers contacts, and cannot forget them.
-            if self._is_apart and (
+            if self.is_apart and (
                 linkage.parameters.obstacles or p.obstacles or not linkage.can_become(p)
             ):
                 self._spaces[member] = space = make_space(p)
@@ -222,12 +223,12 @@ class ArmGroup:
             kept.append((linkage, space))
             if parameters is not None:
                 linkage.change(p)
-                if self._is_apart:
+                if self.is_apart:
                     change_space(space, p)
         if parameters is not None or len(kept) < len(members):
             self._collect()
         linkages = [linkage for linkage, _ in kept]
-        if self._is_apart:
+        if self.is_apart:
             for linkage, space in kept:
                 forget_impulses(space, [linkage], linkage.parameters.substep)
         elif len(linkages) == len(self.linkages):
@@ -247,7 +248,7 @@ class ArmGroup:
     def load(self, members: Sequence[int], parameters: Sequence[ArmParameters]) -> None:
         """Load some arms, see `SingleArm.load`."""
         for member, p in zip(members, parameters, strict=True):
-            self.linkages[member].load(self._spaces[member * self._is_apart], p)
+            self.linkages[member].load(self._spaces[member * self.is_apart], p)
         self._collect()
 
 
@@ -302,6 +303,12 @@ class PymunkArmBatch(ArmBatch):
         if p.joint_limits is not None:
             lowest, highest = zip(*p.joint_limits)
             self._lowest[arms], self._highest[arms] = stacked(lowest), stacked(highest)
+
+    @override
+    def can_become(self, arm: int, parameters: ArmParameters) -> bool:
+        group = self._groups[arm // self._arms_per_group]
+        has_joints = group.linkages[arm % self._arms_per_group].can_become(parameters)
+        return group.is_apart or (has_joints and group.sweeps == solver_iterations(parameters))
 
     @override
     def _command(self, values: Floats, arms: slice | Indices = slice(None)) -> None:
