@@ -32,6 +32,7 @@ RewardType = Literal["dense", "sparse"]
 RENDER_MODES = ("human", "rgb_array")
 AnyChange: TypeAlias = str | Perturbation | Change
 _MOST_ARMS = 10**8
+_MOST_PIXELS = 4096  # of a side
 
 Fields = ParamSpec("Fields")
 Taken = TypeVar("Taken")
@@ -88,9 +89,13 @@ class SingleArguments(ReachArguments):
     """The arguments of `MMCReachEnv`."""
 
     render_mode: str | None = None  #: "human" opens a window, "rgb_array" returns pictures
+    width: int = 640  #: of pictures, pixels; video encoders like multiples of 16
+    height: int = 640  #: of pictures, pixels
 
     def __post_init__(self) -> None:
         require_choice("render_mode", self.render_mode, (None, *RENDER_MODES))
+        require_whole("width", self.width, most=_MOST_PIXELS)
+        require_whole("height", self.height, most=_MOST_PIXELS)
         super().__post_init__()
 
 
@@ -112,9 +117,11 @@ class VectorArguments(ReachArguments):
         if self.max_episode_steps not in (None, "task"):
             require_whole("max_episode_steps", self.max_episode_steps)
         require_whole("num_envs", self.num_envs, most=_MOST_ARMS)
+        modes = {mode.name: mode for mode in AutoresetMode}
+        modes |= {mode.value: mode for mode in AutoresetMode}
         if not isinstance(self.autoreset_mode, AutoresetMode):
-            modes = [mode.value for mode in AutoresetMode]
             require_choice("autoreset_mode", self.autoreset_mode, modes)
+            object.__setattr__(self, "autoreset_mode", modes[self.autoreset_mode])
         super().__post_init__()
 
 

@@ -177,6 +177,15 @@ class Draws:
         self.strengths.append(Strength(name, distribution, *ends_of(distribution), chosen, whole))
         return len(self.strengths) - 1
 
+    def is_like(self, other: Draws) -> bool:
+        """Return whether both draw the same numbers, if from other distributions."""
+        kinds = [
+            [(type(_untimed(part.perturbation)), part.family, part.chosen) for part in draws._parts]
+            for draws in (self, other)
+        ]
+        names = [[strength.name for strength in draws.strengths] for draws in (self, other)]
+        return kinds[0] == kinds[1] and names[0] == names[1]
+
     def numbers(self, uniform: Floats) -> Floats:
         """Return the m drawn numbers of k arms, (k, m), from uniform numbers in [0, 1), (k, m)."""
         drawn = np.empty_like(uniform)
@@ -198,13 +207,14 @@ class Draws:
         """Return the observed context, (..., c), of drawn numbers, (..., m).
 
         Strengths are scaled to ±1; those of an option that was not chosen are 0.  A choice becomes
-        one number for each option but None: 1 if it was chosen, else 0.
+        one number for each option but None: 1 if it was chosen, else 0.  The numbers may be those
+        of other draws that are alike.
         """
 
         def is_chosen(place: int, option: int) -> Any:
             return numbers[..., place] == option
 
-        return np.clip(self._shown(numbers, is_chosen), -1.0, 1.0)
+        return self._shown(numbers, is_chosen)
 
     def shown_of(self, changes: Sequence[Change]) -> NDArray[np.float32]:
         """Return the observed context, (c,), of given perturbations; beyond the ranges, beyond ±1.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
@@ -114,11 +115,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight`, `precision_weight`,
-    `smoothness_weight`, `success_distance`, `render_mode` ("human", "rgb_array"), `task` (a name or
-    a `Task`; by name only tasks with the id's number of steps), `perturbations` (names or
-    `Perturbation`s), `observe_context`, `engine` ("pymunk", "analytic"), and the fields of
-    `mmc_gym.body.ArmParameters`; the signature has the defaults.  The arm has as many joints as
-    `segment_lengths`; action and observation grow with it.
+    `smoothness_weight`, `success_distance`, `render_mode` ("human", "rgb_array"), `width` and
+    `height` of pictures, `task` (a name or a `Task`; by name only tasks with the id's number of
+    steps), `perturbations` (names or `Perturbation`s), `observe_context`, `engine` ("pymunk",
+    "analytic"), and the fields of `mmc_gym.body.ArmParameters`; the signature has the defaults.
+    The arm has as many joints as `segment_lengths`; action and observation grow with it.
 
     ## Drawn Perturbations
     The strength of a perturbation may be a range (`"rotation--60..60"`) or a frozen distribution of
@@ -127,7 +128,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     was drawn; `reset(options={"context": {"rotation": 30}})` sets it.  `observe_context=True`
     appends it to the observation, scaled to ±1, for agents that are trained with it;
     `observe_context="rotation--60..60"` does so on that scale, whatever the perturbations are.
-    `env.unwrapped.perturbations = …` sets what later episodes draw from.
+    `env.unwrapped.set_perturbations(…)` sets what later episodes draw from, while the scale stays:
+    what lies beyond is beyond ±1.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
     does; it has no window.  Long after the last reset it cannot be copied, see
@@ -161,6 +163,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
         self._ghost: list[float] | None = None
+        self._is_started = False
         self._place([0.0] * setup.joint_count, [(setup.reach, 0.0)])
 
     def reset(
@@ -182,7 +185,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._numbers, self._shown = numbers, of_all.context_of(numbers[None])[0]
         elif self.setup is not of_all:
             self._begin(of_all)
-        self._draws = of_all.draws
+        self._draws, self._is_started = of_all.draws, True
         self._place(*self.setup.draw_trial(self.np_random, checked))
         observation, _, info = self._look_and_reward()
         self._late.extend([observation] * self.setup.delay)
@@ -201,7 +204,12 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         """Hand the action to the servos and simulate one control step.
 
         If the action is not accepted, the environment stays as it was.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
         """
+        if not self._is_started:
+            raise ResetNeeded("call reset() before step()")
         arm, setup = self._arm, self.setup
         command = self._command(action)
         if setup.action.is_relative:
@@ -220,15 +228,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
         return observation, reward, False, False, info
-
-    @property
-    def perturbations(self) -> Any:
-        """The perturbations as they were given; set them to change those of later episodes."""
-        return self._arguments.perturbations
-
-    @perturbations.setter
-    def perturbations(self, perturbations: Any) -> None:
-        self._arguments, self._of_all = self._with_perturbations(perturbations)
 
     @property
     def arm(self) -> SingleArm:
@@ -262,7 +261,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         from mmc_gym.envs.render import Renderer, Scene
 
         if self._renderer is None:
-            self._renderer = Renderer(self.setup, self.render_mode)
+            size = self._arguments.width, self._arguments.height
+            self._renderer = Renderer(self.setup, self.render_mode, size)
         scene = Scene(
             self._arm.segment_angles,
             self._target,

@@ -173,19 +173,23 @@ class Scene:
 class Renderer:
     """Paints an arm and its target, frame by frame, into an array or a window."""
 
-    def __init__(self, setup: ReachSetup, mode: str) -> None:
-        """Make a renderer for one arm.
+    def __init__(self, setup: ReachSetup, mode: str, size: tuple[int, int] = (SIZE, SIZE)) -> None:
+        """Make a renderer for one arm, whose world is a square in a picture of (width, height).
 
         In `mode` "human" it opens a window, and `draw` waits until the picture is due.
         """
         self._setup = setup
         self._lengths = setup.body.segment_lengths
-        large = View(setup.farthest, _OVERSAMPLING * SIZE)
+        large = View(setup.farthest, _OVERSAMPLING * min(size))
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
         self._paint_scenery()
         self._scenery = self._canvas.surface.copy()
-        self._picture = pygame.Surface((SIZE, SIZE), depth=32)
-        self._window = Window(setup.frame_rate) if mode == "human" else None
+        self._picture = pygame.Surface(size, depth=32)
+        self._picture.fill(BACKGROUND)
+        side = min(size)
+        corner = (size[0] - side) // 2, (size[1] - side) // 2
+        self._world = self._picture.subsurface(corner, (side, side))
+        self._window = Window(setup.frame_rate, size) if mode == "human" else None
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return the picture, a new array (height, width, 3); None if a window shows it instead."""
@@ -198,7 +202,7 @@ class Renderer:
         if scene.observation is not None and self._setup.are_senses_disturbed:
             self._paint_sensed(scene.observation)
         self._paint_target(scene, nodes[-1])
-        pygame.transform.smoothscale(self._canvas.surface, (SIZE, SIZE), self._picture)
+        pygame.transform.smoothscale(self._canvas.surface, self._world.get_size(), self._world)
         if self._window is not None:
             self._window.show(self._picture)
             return None
@@ -378,10 +382,10 @@ def open_display(*, must_be_seen: bool = False) -> None:
 class Window:
     """A window that shows pictures at a steady rate until its user closes it."""
 
-    def __init__(self, frame_rate: int) -> None:
+    def __init__(self, frame_rate: int, size: tuple[int, int] = (SIZE, SIZE)) -> None:
         open_display()
         pygame.display.set_caption("mmc-gym")
-        self._surface = pygame.display.set_mode((SIZE, SIZE))
+        self._surface = pygame.display.set_mode(size)
         self._frame_rate = frame_rate
         self._clock = pygame.time.Clock()
         self._is_open = True

@@ -135,8 +135,11 @@ class ReachSetup:
     is_sight_disturbed: bool  #: by noise, a delay of vision, or a hand that is hidden
     farthest: float  #: distance from the base that the hand, or its cursor, never exceeds
 
-    def __init__(self, arguments: ReachArguments) -> None:
-        """Derive the setup; raise a `UserError` if the arguments do not fit together."""
+    def __init__(self, arguments: ReachArguments, context_limits: Any = 1.0) -> None:
+        """Derive the setup; raise a `UserError` if the arguments do not fit together.
+
+        The observed context is bounded by `context_limits`, or by more if the draws go beyond.
+        """
         self.control, self.engine = arguments.control, arguments.engine
         self.success_distance = arguments.success_distance
         self.arms_differ = False  #: whether bodies are drawn
@@ -157,8 +160,10 @@ class ReachSetup:
         #: the draws on whose scale the context is observed, or None
         self.scale = self.draws if shown is True else Draws(_changes(shown)) if shown else None
         if self.scale is not None:
-            accepted = "True, or perturbations from ranges, such as 'rotation--60..60'"
-            require(bool(self.scale.strengths), "observe_context", shown, accepted)
+            accepted = "True, or perturbations from ranges with a width, such as 'rotation--60..60'"
+            ranges = arguments.perturbations if shown is True else shown
+            has_width = all(one.low < one.high for one in self.scale.strengths)
+            require(bool(self.scale.strengths) and has_width, "observe_context", ranges, accepted)
         task = [] if arguments.task == "random" else [self.task_name or type(self.task).__name__]
         #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task, *(one.name for one in changes)])
@@ -180,7 +185,9 @@ class ReachSetup:
         self.joint_count, self.reach = len(lengths), sum(lengths)
         rows = np.zeros((1, 0)) if self.draws is None else self.draws.samples()
         #: largest absolute value, at least 1, of each number of the observed context
-        self.context_limits = np.abs(self.context_of(rows)).max(axis=0, initial=1.0)
+        self.context_limits: Any = np.float32(np.inf)
+        largest = np.abs(self.context_of(rows)).max(axis=0)
+        self.context_limits = np.maximum(largest, np.float32(context_limits))
         #: order of the observed numbers; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(
             self.joint_count,
@@ -235,11 +242,13 @@ class ReachSetup:
         if self.scale is None:
             return np.zeros((len(numbers), 0), np.float32)
         if self.draws is None:
-            return np.tile(self.scale.shown_of(self._changes), (len(numbers), 1))
-        if self.scale is self.draws:
-            return self.scale.shown(numbers)
-        drawn = [map(Change, self.draws.perturbations(row)) for row in numbers]
-        return np.stack([self.scale.shown_of([*one]) for one in drawn])
+            shown = np.tile(self.scale.shown_of(self._changes), (len(numbers), 1))
+        elif self.scale.is_like(self.draws):
+            shown = self.scale.shown(numbers)
+        else:
+            drawn = [map(Change, self.draws.perturbations(row)) for row in numbers]
+            shown = np.stack([self.scale.shown_of([*one]) for one in drawn])
+        return np.clip(shown, -self.context_limits, self.context_limits)
 
     def _try_draws(self, draws: Draws) -> None:
         """Set limits that hold for all draws; raise a `UserError` if a draw is impossible."""
@@ -653,8 +662,8 @@ class GoalSetup(ReachSetup):
                 f"perturbations={self.perturbations}"
             )
 
-    def __init__(self, arguments: ReachArguments) -> None:
-        super().__init__(arguments)
+    def __init__(self, arguments: ReachArguments, context_limits: Any = 1.0) -> None:
+        super().__init__(arguments, context_limits)
         self.layout = replace(self.layout, is_clipped=False, has_goals=True)
         # Rounding may put a goal beyond the reach, by as much as is accepted of a target.
         farthest = self.farthest * (1 + REACH_TOLERANCE)
@@ -666,6 +675,7 @@ class ReachEnvironment:
     """The common part of the single and the vector environment."""
 
     setup: ReachSetup
+    observation_space: spaces.Space[Any]
     _arguments: Any
     _kind: type[ReachSetup]
     _of_all: ReachSetup  # from the next episode on; `setup` is that of the present one
@@ -686,16 +696,40 @@ class ReachEnvironment:
         doc="Largest distance to a reached target, segment lengths.",
     )
 
-    def _with_perturbations(self, perturbations: Any) -> tuple[Any, ReachSetup]:
-        """Return arguments and setup with other perturbations, which must keep the spaces."""
-        arguments = replace(self._arguments, perturbations=perturbations)
-        setup = self._kind(arguments)
-        same = setup.observation_space == self._of_all.observation_space
-        accepted = "others that leave the observation space as it is"
-        require(
-            same and setup.action == self._of_all.action, "perturbations", perturbations, accepted
+    @property
+    def perturbations(self) -> Any:
+        """The perturbations as they were given; setting them is `set_perturbations`."""
+        return self._arguments.perturbations
+
+    @perturbations.setter
+    def perturbations(self, perturbations: Any) -> None:
+        self.set_perturbations(perturbations)
+
+    def set_perturbations(self, perturbations: Any) -> None:
+        """Change the perturbations of later episodes; an observed context keeps its scale.
+
+        What is then observed may be beyond ±1, and the observation space as wide.
+        """
+        old = self._of_all
+        arguments = replace(
+            self._arguments, perturbations=perturbations, observe_context=self._shown_scale
         )
-        return arguments, setup
+        setup = self._kind(arguments, old.context_limits)
+        accepted = "others that leave the observation space, but for the context, as it is"
+        same = setup.plain_space == old.plain_space and setup.action == old.action
+        require(same, "perturbations", perturbations, accepted)
+        self._take(setup)
+        self._arguments, self._of_all = arguments, setup
+
+    def _take(self, setup: ReachSetup) -> None:
+        """Take on the setup of later episodes; raise a `UserError` if that is not possible."""
+        self.observation_space = setup.observation_space
+
+    @property
+    def _shown_scale(self) -> Any:
+        """The perturbations whose ranges scale the observed context; False if it is not."""
+        shown = self._arguments.observe_context
+        return self._arguments.perturbations if shown is True else shown
 
     @property
     def context(self) -> dict[str, Any]:
@@ -707,9 +741,7 @@ class ReachEnvironment:
         """The perturbations whose ranges scale the observed context; registered ones by name."""
         if not self.context_size:
             return []
-        shown = self._arguments.observe_context
-        scale = self._arguments.perturbations if shown is True else shown
-        return [_by_name(change) for change in _changes(scale)]
+        return [_by_name(change) for change in _changes(self._shown_scale)]
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -727,6 +759,8 @@ class ReachEnvironment:
             self._check_length(registered)
         if spec is not None and "perturbations" in spec.kwargs:
             spec.kwargs = {**spec.kwargs, "perturbations": _by_name(spec.kwargs["perturbations"])}
+        if spec is not None:  # Gymnasium leaves a vector's spec as it was registered
+            spec.max_episode_steps = getattr(self, "max_episode_steps", spec.max_episode_steps)
         self._spec = spec
 
     def _check_length(self, registered: EnvSpec) -> None:

@@ -231,44 +231,57 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             infos = self._restart(infos, truncations)
         return self._shown(), rewards, terminations, truncations, infos
 
-    @property
-    def perturbations(self) -> Any:
-        """The perturbations, as they were given.
-
-        Others, which must differ in distributions alone, are those of each arm's next episode.
-        """
-        return self._arguments.perturbations
-
-    @perturbations.setter
-    def perturbations(self, perturbations: Any) -> None:
-        arguments, setup = self._with_perturbations(perturbations)
-        kinds = [
-            (
-                [one.name for one in each.draws.strengths] if each.draws else [],
-                [type(one) for one in each.parts],
-                each.arms_differ,
-            )
-            for each in (setup, self.setup)
-        ]
-        accepted = "the same perturbations with other distributions"
-        require(
-            kinds[0] == kinds[1] and bool(kinds[0][0]), "perturbations", perturbations, accepted
-        )
+    @override
+    def _take(self, setup: ReachSetup) -> None:
+        draws, accepted = self.setup.draws, "the same perturbations with other distributions"
+        is_like = bool(draws and setup.draws and draws.is_like(setup.draws))
+        is_like = is_like and setup.arms_differ == self.setup.arms_differ
+        require(is_like, "perturbations", setup.perturbations, accepted)
         accepted = f"such that only joints lock that could lock before: {sorted(self._may_lock)}"
         may_lock = joints_that_lock(setup.others) <= self._may_lock
-        require(may_lock, "perturbations", perturbations, accepted)
-        self._arguments, self.setup, self._of_all, self._draws = (
-            arguments,
-            setup,
-            setup,
-            setup.draws,
-        )
+        require(may_lock, "perturbations", setup.perturbations, accepted)
+        accepted = "bodies that the arms of this vector can have: make one with wider ranges"
+        can_become = all(self._body.can_become(0, body) for body in setup.others)
+        require(can_become, "perturbations", setup.perturbations, accepted)
+        self.setup, self._draws = setup, setup.draws
+        self.single_observation_space = setup.observation_space
+        self.observation_space = batch_space(setup.observation_space, self.num_envs)
         self._make_room()
 
     @property
     def arms(self) -> ArmBatch:
         """The simulated arms, to look at: their state is true, even if senses are disturbed."""
         return self._body
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The generator of each arm."""
+        return tuple(self._randoms)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of each arm's generator."""
+        return tuple(self._seeds)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return an attribute of each arm, or call a method, which acts on all, once."""
+        value = getattr(self, f"single_{name}" if name.endswith("_space") else name)
+        if name in ("np_random", "np_random_seed"):
+            return tuple(value)
+        if name == "context":
+            return tuple({key: one[arm] for key, one in value.items()} for arm in self._all)
+        return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of each arm."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute to one value, or to a list of n equal ones: all arms share it."""
+        of_arms = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        are_equal = len(of_arms) == self.num_envs and all(one == of_arms[0] for one in of_arms)
+        require(are_equal, name, values, f"one value, or a list of {self.num_envs} equal values")
+        setattr(self, name, of_arms[0])
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""

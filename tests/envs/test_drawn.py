@@ -335,6 +335,55 @@ def test_distributions_may_change_between_episodes():
         env.unwrapped.perturbations = "gain-0.8..1.4"
 
 
+def test_an_observed_context_keeps_its_scale_when_the_ranges_change():
+    """So that a policy sees the same numbers for the same body; what lies beyond is beyond ±1."""
+    made = {"observe_context": True, "engine": "analytic"}
+    single = mmc_gym.make("rotation--10..10", **made)
+    native = mmc_gym.make_vec("rotation--10..10", 2, **made)
+    sync = mmc_gym.make_vec("rotation--10..10", 2, vectorization_mode="sync", **made)
+    for degrees, ranges in ((5, None), (45, "rotation--60..60"), (-5, ["rotation--20..20"])):
+        if ranges is not None:
+            single.unwrapped.set_perturbations(ranges)
+            for each in (native, sync):
+                each.set_attr("perturbations", [ranges] * 2)
+        for seed, each in enumerate((single, native, sync)):
+            observations, _ = each.reset(seed=seed, options={"context": {"rotation": degrees}})
+            assert np.all(observations[..., -1] == np.float32(degrees / 10))
+            space = single.observation_space if each is sync else each.observation_space
+            assert np.all(observations <= space.high) and np.all(observations >= space.low)
+        assert single.unwrapped.context_scale == ["rotation--10..10"]
+    assert_same(native.reset(seed=0)[1], sync.reset(seed=0)[1])
+
+
+def test_a_curriculum_begins_at_no_change():
+    env = mmc_gym.make("rotation-0..0", observe_context="rotation--60..60")
+    assert env.reset(seed=0)[0][-1] == env.unwrapped.context["rotation"] == 0
+    env.unwrapped.perturbations = "rotation-60..60"
+    assert env.reset()[0][-1] == 1.0 and env.unwrapped.context["rotation"] == 60
+    vector = mmc_gym.make_vec("longer-0..20", 2)
+    for ranges in ("longer-0..0", "longer-20..20"):
+        vector.unwrapped.perturbations = ranges
+        hands = vector.reset(seed=0, options={"joint_angles": [0.0] * 3})[1]["end_effector"]
+        assert hands[:, 0].tolist() == [3.0 if ranges == "longer-0..0" else 3.2] * 2
+    with pytest.raises(UserError, match=r"ranges with a width.*got .*rotation-0\.\.0"):
+        gym.make("MMCReach-v0", perturbations="rotation-0..0", observe_context=True)
+
+
+@pytest.mark.parametrize("mode", ["dummy", pytest.param("subproc", marks=pytest.mark.slow)])
+def test_perturbations_change_through_the_vector_environments_of_stable_baselines3(mode):
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    from stable_baselines3.common.env_util import make_vec_env
+
+    kinds = {"dummy": vec_env.DummyVecEnv, "subproc": vec_env.SubprocVecEnv}
+    made = {"perturbations": "rotation--10..10"}
+    envs = make_vec_env("MMCReach-v0", 2, env_kwargs=made, vec_env_cls=kinds[mode])
+    envs.env_method("set_perturbations", "rotation-50..60")
+    envs.reset()
+    drawn = [context["rotation"] for context in envs.get_attr("context")]
+    assert min(drawn) >= 50 and envs.get_attr("perturbations") == ["rotation-50..60"] * 2
+    envs.close()
+
+
 @pytest.mark.parametrize(
     ("perturbations", "message"),
     [

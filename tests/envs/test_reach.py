@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
@@ -205,6 +206,7 @@ def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
         (MMCReachEnv, {"control": "torque"}, "control 'torque' .*; did you mean 'joint_torque'"),
         (MMCReachEnv, {"reward_type": "golden"}, "reward_type 'golden'"),
         (MMCReachEnv, {"render_mode": "ansi"}, "render_mode 'ansi'"),
+        (MMCReachEnv, {"width": 0}, "width must be a whole number of at least 1, got 0"),
         (MMCReachEnv, {"control_weight": "a"}, "control_weight must be from 0"),
         (MMCReachEnv, {"n_segments": 4}, "unexpected keyword argument 'n_segments'"),
         (MMCReachGoalEnv, {"control_weight": 0.1}, "control_weight must be 0"),
@@ -258,6 +260,15 @@ def test_the_analytic_engine_refuses_joints_that_it_cannot_tell_apart(arm):
     with pytest.raises(UserError, match=r"drive_inertia must be larger .*, got 0\.0"):
         MMCReachEnv(**arm, drive_inertia=0.0)
     assert MMCReachEnv(**arm).reset(seed=0)
+
+
+@pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
+def test_a_step_before_the_reset_is_refused(make):
+    env = make()
+    with pytest.raises(ResetNeeded, match=r"call reset\(\) before step"):
+        env.step(np.zeros(3, np.float32))
+    env.reset(seed=0)
+    env.step(np.zeros(3, np.float32))
 
 
 @every_engine

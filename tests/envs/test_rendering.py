@@ -53,6 +53,21 @@ def differ(one, other, point, size=5):
     return bool(np.abs(gray(one, point, size) - gray(other, point, size)).max() > 30)
 
 
+@pytest.mark.parametrize(("width", "height"), [(320, 320), (480, 240), (100, 300)])
+def test_pictures_have_the_width_and_height_that_are_asked_for(width, height):
+    made = {"render_mode": "rgb_array", "width": width, "height": height}
+    env = gym.make("MMCReach-v0", **made)
+    env.reset(seed=0)
+    frame, side = env.render(), min(width, height)
+    assert frame.shape == (height, width, 3)
+    top, left = (height - side) // 2, (width - side) // 2
+    world = frame[top : top + side, left : left + side]
+    square = gym.make("MMCReach-v0", **{**made, "width": side, "height": side})
+    square.reset(seed=0)
+    np.testing.assert_array_equal(world, square.render())
+    assert (np.delete(frame, np.s_[top : top + side], 0) == drawing.BACKGROUND).all()
+
+
 def test_pictures_are_new_arrays_and_need_a_mode_but_no_display():
     env, unseen = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("rgb_array", None))
     env.reset(seed=0)

@@ -5,6 +5,7 @@ import pickle
 from functools import partial
 from itertools import cycle
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -222,6 +223,45 @@ def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused()
     vector.step(action)
     with pytest.raises(ResetNeeded, match=r"\[0, 1, 2, 3, 4\]"):
         vector.step(action)
+
+
+@every_engine
+def test_attributes_of_its_arms_are_those_of_single_environments(engine):
+    """`get_attr`, `set_attr`, `call` and the seeds, as the vectors of Gymnasium have them."""
+    made = {"engine": engine, "perturbations": "rotation--60..60"}
+    native = mmc_gym.make_vec("random", 3, **made)
+    sync = mmc_gym.make_vec("random", 3, vectorization_mode="sync", **made)
+    for vector in (native, sync):
+        vector.reset(seed=4)
+    names = ["reach", "control", "engine", "success_distance", "context", "np_random_seed"]
+    names += ["context_size", "perturbations", "parameters", "action_space", "observation_space"]
+    for name in names:
+        assert native.get_attr(name) == native.call(name) == sync.get_attr(name), name
+    states = [[one.bit_generator.state for one in each.np_random] for each in (native, sync)]
+    assert native.np_random_seed == sync.np_random_seed == (4, 5, 6) and states[0] == states[1]
+    native.reset(seed=[None, 9, None])
+    assert native.np_random_seed == (4, 9, 6)
+    for vector in (native, sync):
+        vector.set_attr("perturbations", "rotation-0..5")
+        assert vector.call("set_perturbations", "rotation-0..9") == (None,) * 3
+        assert vector.get_attr("perturbations") == ("rotation-0..9",) * 3
+    with pytest.raises(UserError, match="perturbations must be one value, or a list of 3 equal"):
+        native.set_attr("perturbations", ["rotation-0..5"] * 2)
+    assert len(set(make_native(count=3).np_random_seed)) == 3
+
+
+def test_its_spec_has_its_number_of_steps():
+    assert make_native().spec.max_episode_steps == 100
+    short = make_native(max_episode_steps=7)
+    assert short.spec.max_episode_steps == 7
+    assert gym.make_vec(short.spec).spec.max_episode_steps == 7
+    assert gym.make_vec("MMCReach-v0", max_episode_steps=None).spec.max_episode_steps is None
+
+
+@pytest.mark.parametrize("mode", [*AutoresetMode])
+def test_a_mode_of_autoreset_is_given_by_member_name_or_value(mode):
+    for given in (mode, mode.name, mode.value):
+        assert make_native(autoreset_mode=given).metadata["autoreset_mode"] is mode
 
 
 def test_copies_are_refused():
