@@ -49,6 +49,7 @@ class ReachArguments(ArmParameters):
     precision_weight: float = 1.0  #: of the reward near the target
     smoothness_weight: float = 0.0  #: of the cost of changing joint speeds
     success_distance: float = 0.05  #: largest distance to a reached target, segment lengths
+    terminate_on_success: bool = False  #: whether an episode ends where the target is reached
     task: str | Task = "random"  #: where the target is and how it moves
     perturbations: AnyChange | Sequence[AnyChange] = ()  #: of body, cursor or senses: `"delay-160"`
     #: whether what is drawn is shown, on the scale of its ranges; or perturbations with such ranges
@@ -57,6 +58,8 @@ class ReachArguments(ArmParameters):
 
     def __post_init__(self) -> None:
         require_choice("control", self.control, CONTROLS)
+        is_bool, ends = isinstance(self.terminate_on_success, bool), self.terminate_on_success
+        require(is_bool, "terminate_on_success", ends, "True or False")
         require_choice("reward_type", self.reward_type, get_args(RewardType))
         weights = ("control_weight", "precision_weight", "smoothness_weight", "success_distance")
         for name in weights:

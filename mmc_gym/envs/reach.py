@@ -96,8 +96,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     their trials are numbered (`setup.task.trial_count`), `{"trial": k}` selects one.
 
     ## Episode End
-    Episodes never terminate: the hand must stay at the target.  `gym.make` truncates them after
-    the task's number of steps: 100 (2 s), `pursuit` 500, `via-points` 200.
+    Episodes do not terminate: the hand must stay at the target.  With `terminate_on_success` they
+    do where it reaches the target (`is_success`).  `gym.make` truncates them after the task's
+    number of steps: 100 (2 s), `pursuit` 500, `via-points` 200.
 
     ## Information
     `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05; with via points only at
@@ -115,11 +116,12 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight`, `precision_weight`,
-    `smoothness_weight`, `success_distance`, `render_mode` ("human", "rgb_array"), `width` and
-    `height` of pictures, `task` (a name or a `Task`; by name only tasks with the id's number of
-    steps), `perturbations` (names or `Perturbation`s), `observe_context`, `engine` ("pymunk",
-    "analytic"), and the fields of `mmc_gym.body.ArmParameters`; the signature has the defaults.
-    The arm has as many joints as `segment_lengths`; action and observation grow with it.
+    `smoothness_weight`, `success_distance`, `terminate_on_success`, `render_mode` ("human",
+    "rgb_array"), `width` and `height` of pictures, `task` (a name or a `Task`; by name only tasks
+    with the id's number of steps), `perturbations` (names or `Perturbation`s), `observe_context`,
+    `engine` ("pymunk", "analytic"), and the fields of `mmc_gym.body.ArmParameters`; the signature
+    has the defaults.  The arm has as many joints as `segment_lengths`; action and observation grow
+    with it.
 
     ## Drawn Perturbations
     The strength of a perturbation may be a range (`"rotation--60..60"`) or a frozen distribution of
@@ -227,7 +229,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
-        return observation, reward, False, False, info
+        return observation, reward, setup.terminates and info["is_success"], False, info
 
     @property
     def arm(self) -> SingleArm:
@@ -510,11 +512,18 @@ class GoalEnvironment(ReachEnvironment):
     def compute_terminated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """Return False for every transition, shape (...): the hand must stay at the target."""
+        """Return whether transitions end an episode, shape (...); see `terminate_on_success`."""
+        del info
+        hands, targets = (np.asarray(goal, np.float64) for goal in (achieved_goal, desired_goal))
+        is_reached = distances(hands, targets) <= self.setup.success_distance
+        return self.setup.terminates & is_reached
+
+    def compute_truncated(
+        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
+    ) -> Any:
+        """Return False for every transition, shape (...): only the time limit truncates."""
         del desired_goal, info
         return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
-
-    compute_truncated = compute_terminated  # only the time limit truncates
 
 
 class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):

@@ -121,9 +121,11 @@ class Scenario:
         env_id, arguments = self.for_gymnasium(control)
         return _gymnasium(gym.make, self.name, env_id, arguments)
 
-    def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv:
-        """Make the native vector environment, with another control mode if one is given."""
+    def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv | None:
+        """Make the native vector environment; None if its arms do not end together."""
         env_id, arguments = self.for_gymnasium(control)
+        if arguments.get("terminate_on_success"):
+            return None
         made: AnyVectorEnv = gym.make_vec(env_id, num_envs=count, **arguments)
         return made.unwrapped
 
@@ -215,9 +217,10 @@ class OwnEnvironment:
         return made if self.interface is None else InterfacedEnv(made, self.interface)
 
     def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv | None:
-        """Make the native vector environment; None if there is none."""
+        """Make the native vector environment; None if there is none, or its arms end apart."""
         spec = gym.registry.get(name_of(self.env).rpartition(":")[2])
-        if self.interface is not None or spec is None or spec.vector_entry_point is None:
+        has_none = self.interface is not None or spec is None or spec.vector_entry_point is None
+        if has_none or self.arguments.get("terminate_on_success"):
             return None
         arguments = {**self.arguments, **({} if control is None else {"control": control})}
         made: AnyVectorEnv = gym.make_vec(name_of(self.env), num_envs=count, **arguments)

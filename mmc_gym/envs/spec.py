@@ -142,6 +142,7 @@ class ReachSetup:
         """
         self.control, self.engine = arguments.control, arguments.engine
         self.success_distance = arguments.success_distance
+        self.terminates = arguments.terminate_on_success  #: whether success ends an episode
         self.arms_differ = False  #: whether bodies are drawn
         self.others: list[ArmParameters] = []  #: bodies that may be drawn
         self.reward = RewardSettings(

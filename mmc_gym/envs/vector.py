@@ -222,13 +222,15 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if len(waiting):
             self._show_start(waiting, pick(observation, waiting))
             rewards[waiting] = 0.0
-        terminations = np.zeros(self.num_envs, dtype=bool)
+        terminations = self.setup.terminates & info["is_success"]
+        terminations[waiting] = False
         truncations = self._steps >= (self.max_episode_steps or sys.maxsize)
         infos = spread(info, np.ones(self.num_envs, dtype=bool))
+        over = terminations | truncations
         if self.autoreset_mode != AutoresetMode.SAME_STEP:
-            self._is_over = truncations.copy()
-        elif truncations.any():
-            infos = self._restart(infos, truncations)
+            self._is_over = over
+        elif over.any():
+            infos = self._restart(infos, over)
         return self._shown(), rewards, terminations, truncations, infos
 
     @override

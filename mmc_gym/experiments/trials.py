@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import (
     UserError,
+    require,
     require_arguments,
     require_names,
     require_whole,
@@ -149,6 +150,8 @@ class TrialsCell:
         steps = round(self.experiment.seconds / player.control_step)
         arguments = {**self.arguments, **self.agent.arguments, "max_episode_steps": steps}
         scenario = self.experiment.scenario(condition, **arguments)
+        ends = arguments.get("terminate_on_success", False)
+        require(not ends, "terminate_on_success", ends, "False: all trials last equally long")
         if player.takes_batches:
             return scenario.make_vec(arms, player.control)
         return self.agent.wrapped(scenario.make(player.control))

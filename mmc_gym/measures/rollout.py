@@ -280,6 +280,8 @@ def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MM
         )
     if native.autoreset_mode == AutoresetMode.SAME_STEP:
         raise UserError("env must not reset in the step that ends an episode, got SameStep")
+    accepted = "False for arms that are played together, which end together"
+    require(not native.setup.terminates, "terminate_on_success", True, accepted)
     if native.num_envs != episodes:
         raise UserError(f"env must have {episodes} arms, one per seed, got {native.num_envs}")
     return native
@@ -295,9 +297,11 @@ def evaluate(
     """Return the scores of an agent over episodes of the seeds `seed`, `seed` + 1, …, all at once.
 
     They are means of success, final_distance and episode_return; time_at_target, the share of the
-    time within the tolerance; and time_to_target, the median over the successes, if any.
+    time within the tolerance; and time_to_target, the median over the successes, if any.  Episodes
+    last to their time limit, whatever `terminate_on_success` is.
     """
-    with closing(gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)) as env:
+    whole = {**arguments, "terminate_on_success": False, "autoreset_mode": "Disabled"}
+    with closing(gym.make_vec(env_id, episodes, **whole)) as env:
         agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)
         played = run_episodes(agent, env, seeds, records_effort=False)
     # Summed step by step, as trainings always have: the last bit of a mean depends on the order.

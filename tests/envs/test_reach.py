@@ -289,6 +289,34 @@ def test_a_movement_out_of_control_raises_an_error_and_a_reset_mends_it(engine, 
     assert same(env.reset(seed=0), start)
 
 
+@pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
+def test_success_ends_an_episode_if_asked_to_and_changes_nothing_before(make):
+    plain, ending = (
+        make(success_distance=0.5),
+        make(success_distance=0.5, terminate_on_success=True),
+    )
+    posture = {"joint_angles": [0.0, 0.5, 0.5]}
+    assert same(plain.reset(seed=3, options=posture), ending.reset(seed=3, options=posture))
+    action, ends = np.array([1.0, 0.1, -0.1], np.float32), []
+    for _ in range(60):
+        *_, info = expected = plain.step(action)
+        observation, reward, terminated, truncated, _ = found = ending.step(action)
+        assert same((*expected[:2], *expected[3:]), (observation, reward, *found[3:]))
+        assert (type(terminated), truncated, expected[2]) == (bool, False, False)
+        assert terminated == info["is_success"]
+        ends.append(terminated)
+        if make is MMCReachGoalEnv:
+            goals = observation["achieved_goal"], observation["desired_goal"]
+            assert ending.compute_terminated(*goals, info) == terminated
+            many = [np.stack([goal] * 4).reshape(2, 2, 2) for goal in goals]
+            assert ending.compute_terminated(*many, {}).tolist() == [[terminated] * 2] * 2
+            assert not plain.compute_terminated(*goals, info)
+            assert not ending.compute_truncated(*goals, info)
+    assert any(ends) and not all(ends)
+    with pytest.raises(UserError, match="terminate_on_success must be True or False, got 'yes'"):
+        make(terminate_on_success="yes")
+
+
 @pytest.mark.parametrize("reward_type", ["sparse", "dense"])
 def test_relabelled_transitions_have_the_reward_of_the_step_and_no_end(reward_type):
     env = MMCReachGoalEnv(reward_type=reward_type, success_distance=1.0)

@@ -66,6 +66,13 @@ VARIANTS = [
     ("MMCReachGoal-v0", {"perturbations": "longer-50"}),
     ("MMCReachGoal-v0", {"perturbations": "locked"}),
 ]
+ENDING = [
+    ("random", {"success_distance": 1.0}),
+    ("via-points", {"success_distance": 2.5}),
+    ("rotation--60..60+delay-40+longer-0..20", {"success_distance": 1.0, "observe_context": True}),
+    ("MMCReachGoal-v0", {"success_distance": 1.0}),
+]
+ENDING = [(name, {**one, "terminate_on_success": True}) for name, one in ENDING]
 
 
 def make_native(name="random", count=COUNT, **arguments):
@@ -86,7 +93,7 @@ def cases():
         pytest.param(*one, mode, marks=() if mode == daily else pytest.mark.slow)
         for one, daily in zip(VARIANTS, cycle(AutoresetMode))
         for mode in AutoresetMode
-    ]
+    ] + [pytest.param(*one, mode) for one in ENDING for mode in AutoresetMode]
 
 
 def agree(first, second, engine):
@@ -124,14 +131,22 @@ def test_it_returns_what_single_environments_return(name, arguments, mode, engin
     assert native.observation_space == sync.observation_space
     assert native.action_space == sync.action_space
     assert reset_both(np.ones(COUNT, bool), seed=3)
+    are_successes, rests = np.zeros(COUNT, bool), np.zeros(COUNT, bool)
     for index, action in enumerate(random_actions(native, 30)):
         step, other = native.step(action), sync.step(action)
-        over = step[3]
+        over = step[2] | step[3]
+        final = step[4].get("final_info", {}).get("is_success", step[4]["is_success"])
+        at_end = np.where(over, final, step[4]["is_success"]) & ~rests
+        assert (step[2] == (at_end & arguments.get("terminate_on_success", False))).all()
+        are_successes |= step[2]
+        rests = over & (mode == AutoresetMode.NEXT_STEP)
         assert agree(step, other, engine)
         if mode == AutoresetMode.DISABLED and over.any():
             assert reset_both(over)
         if index == 7:
             assert reset_both(np.arange(COUNT) % 2 == 0, seed=[1, 2, 3, 4, 5])
+            rests &= np.arange(COUNT) % 2 == 1
+    assert are_successes.any() == arguments.get("terminate_on_success", False)
 
 
 @pytest.mark.parametrize("arguments", [{}, {"engine": "analytic"}, {"perturbations": "delay-40"}])
