@@ -319,7 +319,7 @@ def make_agent(
     >>> for _ in range(100):
     ...     action, state = agent.predict(observation, state)
     ...     observation, reward, terminated, truncated, info = env.step(action)
-    >>> info["is_success"]
+    >>> bool(info["is_success"])
     True
     """
     if interface is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add, mul, sub
 from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
@@ -229,7 +229,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
             self.render()
-        return observation, reward, setup.terminates and info["is_success"], False, info
+        return observation, reward, setup.terminates and bool(info["is_success"]), False, info
 
     @property
     def arm(self) -> SingleArm:
@@ -362,7 +362,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if cursor is not None:
             info["cursor"] = np.array(hand)
         if setup.channel is not None:
-            info["channel_force"], speed = arm.contact
+            info["channel_force"], speed = map(np.float64, arm.contact)
             info["ideal_force"] = setup.channel * speed
         if setup.is_sight_disturbed:
             sights = self._sights
@@ -385,7 +385,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             return sight.look(arms, steps, hands, seen, now.feedback)
 
         observation = setup.observe(true, now.noises, [self.np_random], look)[0]
-        info["is_hand_seen"] = bool(sight.is_seen[0])
+        info["is_hand_seen"] = np.array(sight.is_seen[0])
         return observation
 
     def _seen_hand(self) -> Point:
@@ -465,26 +465,29 @@ def reward_and_info(
     speeds: Numbers,
     speeds_before: Numbers,
     settings: RewardSettings,
+    number: Callable[[Any], Any] = np.float64,
 ) -> tuple[Number, Info]:
     """Return the reward of a state, and the entries of `info` that explain it.
 
     The distance is from the target to the hand, or to the cursor that stands for it.  Speeds of the
     joints, now and one control step earlier, are fractions of their limit, (N,) or (N, n).
+    `number` gives what is in `info` a dtype, which an array has.
     """
     reward_control = _minus_mean_square(speeds, settings.control_weight)
     reward_precision = precision(distance, settings.precision_weight)
     info = {
-        "distance": distance,
-        "is_success": is_success,
-        "reward_distance": -distance,
-        "reward_precision": reward_precision,
-        "reward_control": reward_control,
+        "distance": number(distance),
+        "is_success": np.asarray(is_success),  # sync would make objects of numpy bools
+        "reward_distance": number(-distance),
+        "reward_precision": number(reward_precision),
+        "reward_control": number(reward_control),
     }
     reward = -distance + reward_precision + reward_control
     if settings.smoothness_weight:
         changes = list(map(sub, speeds, speeds_before))
-        info["reward_smoothness"] = _minus_mean_square(changes, settings.smoothness_weight)
-        reward = reward + info["reward_smoothness"]
+        reward_smoothness = _minus_mean_square(changes, settings.smoothness_weight)
+        info["reward_smoothness"] = number(reward_smoothness)
+        reward = reward + reward_smoothness
     return (is_success - 1.0 if settings.is_sparse else reward), info
 
 

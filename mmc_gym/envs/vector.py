@@ -465,7 +465,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         distance = distances(hands, targets)
         is_success = (distance <= self.success_distance) & self._is_at_last_target(arms)
         before = self._speeds[arms].T
-        rewards, info = reward_and_info(distance, is_success, speeds.T, before, setup.reward)
+        rewards, info = reward_and_info(
+            distance, is_success, speeds.T, before, setup.reward, number=np.asarray
+        )
         self._speeds[arms] = speeds
         info["end_effector"] = self._body.end_effectors[arms].copy()
         info["target"] = targets.copy()

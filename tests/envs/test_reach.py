@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
@@ -287,6 +288,24 @@ def test_a_movement_out_of_control_raises_an_error_and_a_reset_mends_it(engine, 
         for _ in range(100):
             env.step(action)
     assert same(env.reset(seed=0), start)
+
+
+@pytest.mark.parametrize("name", ["random", "endpoint-feedback+vision-noise", "channel"])
+def test_infos_have_a_dtype(name):
+    """As those of Gymnasium's MuJoCo environments; TorchRL reads it (`auto_register_info_dict`)."""
+    env = mmc_gym.make(name, smoothness_weight=1.0)
+    for info in (env.reset(seed=0)[1], env.step(np.zeros(3, np.float32))[-1]):
+        kinds = {key: value.dtype for key, value in info.items()}
+        bools = {"is_success", "is_hand_seen"}
+        assert kinds == {key: bool if key in bools else float for key in kinds}
+
+
+def test_torchrl_registers_the_infos():
+    gym_wrapper = pytest.importorskip("torchrl.envs").GymWrapper
+    env = gym_wrapper(mmc_gym.make("random")).auto_register_info_dict()
+    played = env.rollout(3)["next"]
+    assert played["distance"].shape == played["is_success"].shape == (3,)
+    assert played["is_success"].dtype == torch.bool
 
 
 @pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
