@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from itertools import permutations
 from typing import Any
@@ -32,6 +32,8 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError, nearest, require, require_known, unknown
+from mmc_gym.envs import perturbations as perturbation_kinds
+from mmc_gym.envs import tasks as task_kinds
 from mmc_gym.envs.perturbations import (
     FOUR_DISCS,
     Channel,
@@ -305,13 +307,8 @@ def parse_task(name: object) -> TaskEntry:
 
 
 def as_change(value: object) -> Change:
-    """Return the change that a name, an object, or a file's {"one_of": [...]} stands for."""
-    if isinstance(value, Mapping):
-        require_known("a mixture", value, ("one_of", "weights"))
-        options = value.get("one_of", ())
-        accepted = "a list of perturbations; null is no change"
-        require(isinstance(options, list | tuple), "one_of", options, accepted)
-        value = OneOf(*options, weights=value.get("weights"))
+    """Return the change that a name, an object, or what `as_plain` made of one stands for."""
+    value = _from_plain(value) if isinstance(value, Mapping) else value
     if isinstance(value, OneOf):
         changes = (None if one is None else as_change(one) for one in value.options)
         return Change(OneOf(*changes, weights=value.weights))
@@ -322,11 +319,70 @@ def as_change(value: object) -> Change:
 
 
 def as_task(value: object) -> Task:
-    """Return a task given by name or as an object."""
+    """Return a task given by name, as an object, or as what `as_plain` made of one."""
+    value = _from_plain(value) if isinstance(value, Mapping) else value
     if isinstance(value, Task):
         value.check_hooks()
         return value
     return parse_task(value).task
+
+
+# For files.  Only objects of this package and of scipy.stats are made from them.
+
+_KINDS: dict[str, Any] = {
+    name: kind
+    for name, kind in {**vars(perturbation_kinds), **vars(task_kinds)}.items()
+    if is_dataclass(kind) and isinstance(kind, type) and issubclass(kind, Perturbation | Task)
+}
+
+
+def as_plain(value: Any) -> Any:
+    """Return an argument as a file can hold it: changes by name, or else by class and fields.
+
+    Objects of your own classes stay as they are.
+
+    >>> as_plain([parse_change("gain-2"), OneOf(LockedJoint(0), None)])[1]["one_of"]
+    [{'name': 'LockedJoint', 'joint': 0, 'time': 0.0, 'known': False}, None]
+    """
+    if isinstance(value, list | tuple):
+        return [as_plain(one) for one in value]
+    if isinstance(value, Change):
+        return value.name if value.family is not None else as_plain(value.perturbation)
+    if isinstance(value, OneOf):
+        return {"one_of": as_plain(value.options), "weights": list(value.weights)}
+    if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
+        return {"name": value.dist.name, "args": list(value.args), **value.kwds}
+    if _KINDS.get(type(value).__name__) is not type(value):
+        return value
+    own = {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
+    return {"name": type(value).__name__, **own}
+
+
+def _from_plain(value: Any) -> Any:
+    """Return what `as_plain` made plain; raise a `UserError` if it is nothing of the kind."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_from_plain, value))
+    if not isinstance(value, Mapping):
+        return value
+    if "one_of" in value:
+        require_known("a mixture", value, ("one_of", "weights"))
+        accepted = "a list of perturbations; null is no change"
+        require(isinstance(value["one_of"], list | tuple), "one_of", value["one_of"], accepted)
+        return OneOf(*value["one_of"], weights=value.get("weights"))
+    given = {key: _from_plain(one) for key, one in value.items() if key not in ("name", "args")}
+    kind: Any = _KINDS.get(str(value.get("name")))
+    args = value.get("args")
+    if args is not None:
+        from scipy import stats  # `import mmc_gym` loads none of it
+
+        kind = getattr(stats, str(value.get("name")), None)
+        kind = kind if isinstance(kind, stats.rv_continuous | stats.rv_discrete) else None
+    accepted = "of a class of this package or scipy.stats; a name that you register is kept, too"
+    require(kind is not None, "an object from a file", value, accepted)
+    try:
+        return kind(*(args or ()), **given)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"an object from a file is not possible, got {value}: {error}") from error
 
 
 def _unknown(name: object, argument: str) -> UserError:

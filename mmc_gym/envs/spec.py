@@ -33,7 +33,7 @@ from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.drawn import Draws, senses_of
-from mmc_gym.envs.names import Change, as_change, as_task, environment_id
+from mmc_gym.envs.names import Change, as_change, as_plain, as_task, environment_id
 from mmc_gym.envs.perturbations import (
     Channel,
     Cursor,
@@ -42,7 +42,6 @@ from mmc_gym.envs.perturbations import (
     Feedback,
     LockedJoint,
     Noise,
-    OneOf,
     Perturbation,
     SensoryDelay,
     Timed,
@@ -739,10 +738,10 @@ class ReachEnvironment:
 
     @property
     def context_scale(self) -> list[Any]:
-        """The perturbations whose ranges scale the observed context; registered ones by name."""
+        """The perturbations whose ranges scale the observed context, as `as_plain` has them."""
         if not self.context_size:
             return []
-        return [_by_name(change) for change in _changes(self._shown_scale)]
+        return [as_plain(change) for change in _changes(self._shown_scale)]
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -758,9 +757,10 @@ class ReachEnvironment:
         registered = gym.registry.get(spec.id) if spec else None
         if registered is not None:
             self._check_length(registered)
-        if spec is not None and "perturbations" in spec.kwargs:
-            spec.kwargs = {**spec.kwargs, "perturbations": _by_name(spec.kwargs["perturbations"])}
-        if spec is not None:  # Gymnasium leaves a vector's spec as it was registered
+        if spec is not None:
+            kept = spec.kwargs.keys() & {"task", "perturbations", "observe_context"}
+            spec.kwargs = {**spec.kwargs, **{name: as_plain(spec.kwargs[name]) for name in kept}}
+            # Gymnasium leaves a vector's spec as it was registered.
             spec.max_episode_steps = getattr(self, "max_episode_steps", spec.max_episode_steps)
         self._spec = spec
 
@@ -774,19 +774,6 @@ class ReachEnvironment:
                 f"{registered.id} has, got {name!r} with {steps}: make {environment_id(name)!r}, "
                 "which accepts all other arguments"
             )
-
-
-def _by_name(perturbations: Any) -> Any:
-    """Return changes of registered families as their names, which a file can hold."""
-    if isinstance(perturbations, list | tuple):
-        return [_by_name(one) for one in perturbations]
-    if isinstance(perturbations, Change) and isinstance(perturbations.perturbation, OneOf):
-        perturbations = perturbations.perturbation
-    if isinstance(perturbations, OneOf):
-        weights = list(perturbations.weights)
-        return {"one_of": _by_name(perturbations.options), "weights": weights}
-    is_named = isinstance(perturbations, Change) and perturbations.family is not None
-    return perturbations.name if is_named else perturbations
 
 
 def require_finite_numbers(name: str, value: ArrayLike, count: int) -> list[float]:

@@ -14,7 +14,9 @@ from itertools import combinations, cycle, pairwise, product
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env, data_equivalence
+from scipy import stats
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym
@@ -23,9 +25,19 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs import perturbations as kinds
-from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
+from mmc_gym.envs.names import FAMILIES, TASKS, environment_id, parse_change
+from mmc_gym.envs.perturbations import (
+    HandMass,
+    JointNoise,
+    LockedJoint,
+    Obstacles,
+    OneOf,
+    Timed,
+    VisuomotorRotation,
+)
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_environment, parse_scenario
+from mmc_gym.envs.tasks import DoubleStep, PointToPoint
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS
 
@@ -311,3 +323,39 @@ def test_an_episode_stays_in_its_space_and_ends_by_the_time_limit_alone(env):
     assert all(env.observation_space.contains(step[0]) for step in steps)
     assert all(isinstance(step[1], float) and np.isfinite(step[1]) for step in steps)
     assert [step[2:4] for step in steps] == [(False, False)] * (limit - 1) + [(False, True)]
+
+
+ONE_OF = OneOf(VisuomotorRotation(stats.uniform(-60, 120), centre=(0.0, 1.0)), "gain-2", None)
+RECOVERED = [
+    {"perturbations": VisuomotorRotation(30.0)},
+    {"perturbations": ["delay-40", Timed(HandMass(2.0), at=0.1), Obstacles()]},
+    {"perturbations": [ONE_OF, JointNoise(stats.beta(2, 5, scale=0.1))], "observe_context": True},
+    {"perturbations": LockedJoint(stats.randint(0, 3), stats.uniform(0.1, 0.2))},
+    {"perturbations": [Timed(VisuomotorRotation(20.0), at=stats.uniform(0, 0.2))]},
+    {"perturbations": parse_change("rotation--60..60"), "observe_context": [ONE_OF]},
+    {"task": DoubleStep(delay=0.1), "perturbations": "longer--10..20"},
+    {"task": PointToPoint(((0.0, 0.5), (0.5, 0.0)), ((0, 1),))},
+]
+
+
+@pytest.mark.parametrize("arguments", RECOVERED)
+def test_an_environment_is_recovered_from_its_spec(arguments):
+    """As Minari does, from JSON, or as `gym.make(env.spec)`."""
+    env = gym.make("MMCReach-v0", **arguments)
+    first = env.reset(seed=3), env.step(np.ones(3, np.float32))
+    for spec in (EnvSpec.from_json(env.spec.to_json()), env.spec):
+        again = gym.make(spec)
+        assert again.spec.to_json() == env.spec.to_json()
+        np.testing.assert_equal((again.reset(seed=3), again.step(np.ones(3, np.float32))), first)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *({}, {"degrees": 3.0}, {"name": "os"}, {"name": "expect", "args": []}, {"name": ["a"]}),
+        *({"name": "uniform", "args": ["a"]}, {"name": "HandMass", "mass": {"name": "norm"}}),
+    ],
+)
+def test_an_object_that_no_file_can_hold_is_refused(value):
+    with pytest.raises(UserError, match=r"from a file|Perturbation"):
+        gym.make("MMCReach-v0", perturbations=value)
