@@ -56,6 +56,12 @@ class Agent(ABC, Generic[State]):
 
     training_steps: int = 0  #: environment steps that its training took
 
+    def __repr__(self) -> str:
+        """Return its class and, if it keeps an interface, joints and control mode."""
+        interfaces = [one for one in vars(self).values() if isinstance(one, ReachInterface)]
+        facts = [f"{len(one.segment_lengths)} joints, {one.control}" for one in interfaces]
+        return f"{type(self).__name__}({', '.join(facts)})"
+
     @abstractmethod
     def predict(
         self,

@@ -217,6 +217,10 @@ class PolicyAgent(Agent[Any]):
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
+    @override
+    def __repr__(self) -> str:
+        return f"{self.card.file_stem}: {super().__repr__()}"
+
     def save(self, folder: Path | str) -> Path:
         """Write the policy's two files, NAME-SEED, into `folder`; return the path of its card."""
         save_policy(self._network, self.card, Path(folder))

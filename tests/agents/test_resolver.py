@@ -196,3 +196,16 @@ def test_changed_code_is_another_fingerprint(changed, tmp_path, monkeypatch):
     if changed:
         (package / changed).write_text((package / changed).read_text() + "# changed")
     assert (resolved.code_digest.__wrapped__() == unchanged) == (changed is None)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("mmc", "MMCAgent(3 joints, joint_delta)"),
+        ("mmc-body", "BodyAgent(3 joints, joint_delta)"),
+        ("random", "RandomAgent(3 joints, joint_delta)"),
+        ("ppo-0", "ppo-0: PolicyAgent(3 joints, joint_delta)"),
+    ],
+)
+def test_an_agent_says_what_it_is(name, shown):
+    assert repr(make_agent(name, gym.make("MMCReach-v0"))) == shown
