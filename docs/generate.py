@@ -37,7 +37,8 @@ from mmc_gym.agents import resolve
 from mmc_gym.benchmark.suite import SCENARIOS, Arms, make_player, play_episodes
 from mmc_gym.body import parameters
 from mmc_gym.envs import arguments
-from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.names import TASKS
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import Scenario, parse_scenario
 from mmc_gym.listing import describe
@@ -356,15 +357,14 @@ def scenario_page(one: Scenario, picture: str, counts: dict[str, int] | None) ->
 
 
 def definition(text: str, one: Scenario, heading: str) -> Iterator[str]:
-    """Yield a paragraph of a definition list; the class of a thing links to its reference."""
+    """Yield a paragraph of a definition list; a perturbation is named with its function."""
     sign = ":   "
     for line in text.splitlines():
         if heading == "perturbation":
-            parts = [change.perturbation for change in one.changes]
             made, _, about = line.partition(": ")
-            names = {type(part).__name__: type(part).__module__ for part in parts}
-            name = made.partition("(")[0]
-            line = f"{{py:class}}`~{names[name]}.{name}` {about} Here: `{made}`."
+            functions = {change.name: change.family.apply for change in one.changes}
+            line = f"`{made}` {about} It is `{functions[made].__name__}` of "
+            line += "{py:mod}`mmc_gym.envs.perturbations`."
         yield f"{sign}{line}"
         sign = "    "
 

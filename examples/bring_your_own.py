@@ -12,14 +12,13 @@ Put your agents, environment, reward, task, perturbation and measure into a modu
     mmc-gym benchmark --import examples.bring_your_own --agents mmc --scenarios ahead weak-30
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
 
 import mmc_gym
-from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs import register_task
 from mmc_gym.envs.tasks import RandomTarget, Trial
 from mmc_gym.measures import measure
 
@@ -58,14 +57,13 @@ class Ahead(RandomTarget):
         return Trial(request.draw_posture(), [(0.0, request.random.uniform(1.0, 2.9))])
 
 
-@dataclass(frozen=True)
-class Weak(Perturbation):
+SERVOS = "servos give {} % of their torque"
+
+
+@mmc_gym.perturbation("weak", unit="%", default=50, neutral=100, low=1, description=SERVOS)
+def weak(arms, percent):
     """A perturbation: servos give a part of their torque."""
-
-    percent: float = 50.0
-
-    def change_body(self, body):
-        return replace(body, torque_limit=body.torque_limit * self.percent / 100)
+    arms.torque_limit *= percent / 100
 
 
 @measure(label="half-way time", unit="s", best="low", shown=True, successes_only=True)
@@ -74,7 +72,6 @@ def half_way_time(episode):
 
 
 register_task("ahead", Ahead(), "targets straight ahead")
-register_perturbation(Family("weak", "%", "servos give {} % of their torque", 50.0, Weak))
 
 if __name__ == "__main__":
     print(mmc_gym.compare({"mmc": "mmc", "still": still, "turner": Turner}, Squared, episodes=10))

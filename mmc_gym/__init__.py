@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mmc_gym import _interrupts as _interrupts  # first, as the others take a while to import
 from mmc_gym import envs as envs  # registers the environments
-from mmc_gym.envs import make, make_vec
+from mmc_gym.envs import make, make_vec, perturbation
 
 if TYPE_CHECKING:
     from mmc_gym import agents, benchmark, body, experiments, measures, network, report, training
@@ -57,6 +57,7 @@ __all__ = [
     "make_vec",
     "measures",
     "network",
+    "perturbation",
     "report",
     "run_episodes",
     "run_experiment",

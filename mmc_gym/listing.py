@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mmc_gym._errors import UserError
 from mmc_gym._tables import Table, text_table, to_html
 from mmc_gym.agents import AGENTS, AgentEntry
-from mmc_gym.envs.drawn import EXAMPLES
-from mmc_gym.envs.names import FAMILIES, TASKS, environment_id
-from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.changes import Change
+from mmc_gym.envs.episodes import EXAMPLES
+from mmc_gym.envs.names import TASKS, environment_id
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import Playable, Scenario, find_scenario, name_of
 from mmc_gym.envs.tasks import Task
 
@@ -157,16 +158,16 @@ def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
     yield found.name, found.description
     yield "make it", "\n".join(_ways_to_make(found))
     task_name = found.task.name if isinstance(found, Scenario) else type(task).__name__
-    yield "task", f"{task_name}: {_about(task)}"
+    yield "task", f"{task_name}: {_about(type(task))}"
     for one in found.changes:
-        kinds = dict.fromkeys((one.untimed, one.perturbation))
-        shown = one.perturbation if one.range is None else one.name
-        yield "perturbation", f"{shown}: {' '.join(map(_about, kinds))}"
-    if setup.draws is not None:
+        about = [one.family.apply, *([Change] if one.is_timed else [])]
+        yield "perturbation", f"{one.name}: {' '.join(map(_about, about))}"
+    if setup.episodes.is_drawn:
         draws = [env.reset(seed=seed)[1]["context"] for seed in range(EXAMPLES)]
         lines = (", ".join(f"{k} {v:.3g}" for k, v in one.items() if v == v) for one in draws)
         yield "for example", "\n".join(lines)
-    for heading, delay in (("delay", setup.delay), ("delay of sight", setup.vision_delay)):
+    limits = setup.limits
+    for heading, delay in (("delay", limits.delay), ("delay of sight", limits.vision_delay)):
         if delay:
             late = 1000 * delay * setup.given_body.control_step
             yield heading, f"{delay} control steps, {late:g} ms"
@@ -182,9 +183,9 @@ def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
     env.close()
 
 
-def _about(described: Task | Perturbation) -> str:
-    """Return the docstring of its class in one line, without the attributes."""
-    text = inspect.getdoc(type(described)) or ""
+def _about(described: object) -> str:
+    """Return a docstring in one line, without the attributes."""
+    text = inspect.getdoc(described) or ""
     return " ".join(text.partition("Attributes:")[0].split())
 
 
@@ -208,12 +209,11 @@ def _given(found: Playable, setup: Any) -> Iterator[str]:
         return
     for change in found.changes:
         thing = "the perturbation" if len(found.changes) == 1 else change.name
-        can_be_given = change.family is not None and change.family.known
-        can_be_given = can_be_given and not (change.known or change.is_drawn)
+        can_be_given = change.family.known and not (change.known or change.is_drawn)
         hint = f"; with {change.name}-known they are" if can_be_given else ""
         yield f"are {'' if change.known else 'not '}given {thing}{hint}"
-    for one in fields(setup.given_body) if setup.draws is None else ():
-        given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
+    for one in fields(setup.given_body) if not setup.episodes.is_drawn else ():
+        given, true = getattr(setup.given_body, one.name), getattr(setup.first.body, one.name)
         if given != true:
             yield f"{one.name}: {_short(true)}, given {_short(given)}"
 

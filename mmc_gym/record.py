@@ -23,7 +23,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, Agents, Statistics, Wrappers, resolve, resolve_all
 from mmc_gym.benchmark.suite import make_player
-from mmc_gym.envs.drawn import EXAMPLES
+from mmc_gym.envs.episodes import EXAMPLES
 from mmc_gym.envs.render import View, open_display
 from mmc_gym.envs.scenarios import EnvLike, parse_environment, parse_scenario
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
@@ -209,7 +209,7 @@ def frames(
 ) -> Iterator[dict[str, Any]]:
     """Play until the window is closed, and yield the info of the start and of each step."""
     reach: Any = world.unwrapped
-    view, workspace = View(reach.setup.farthest), reach.setup.workspace
+    view, workspace = View(reach.setup.limits.farthest), reach.episode.workspace
     observation, info = world.reset(seed=seed)
     state = None
     yield info

@@ -27,7 +27,8 @@ from filelock import FileLock  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
-from mmc_gym.envs.names import FAMILIES, TASKS  # noqa: E402
+from mmc_gym.envs.names import TASKS  # noqa: E402
+from mmc_gym.envs.perturbations import FAMILIES  # noqa: E402
 from mmc_gym.measures import MEASURES, Episode  # noqa: E402
 
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in

@@ -52,15 +52,12 @@ STILL = Still()
     "own_literal.py": "",
     "own_other.py": "OTHER = 1",
     "own_registry.py": """
-from dataclasses import dataclass
-from mmc_gym.envs import Family, register_perturbation
+import mmc_gym
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.measures import measure
 import own_far
-@dataclass(frozen=True)
-class Turn(VisuomotorRotation):
-    pass
-register_perturbation(Family("own-turn", "°", "{}", 30.0, Turn))
+@mmc_gym.perturbation("own-turn", unit="°", default=30, neutral=0)
+def turn(arms, degrees): VisuomotorRotation.apply(arms, degrees)
 @measure(label="own far")
 def own_far_measure(episode): return own_far.FAR
 """,

@@ -11,7 +11,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
-from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.names import TASKS
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.experiments.experiment import EXPERIMENTS
 from mmc_gym.listing import describe
@@ -61,8 +62,9 @@ def test_what_it_says_makes_a_scenario_does_make_it(name):
     assert len(ways) == 2
     for way in ways:
         made = eval(way, {"gym": gym, "mmc_gym": mmc_gym}).unwrapped.setup
-        assert (made.body, made.given_body) == (expected.body, expected.given_body)
-        assert (made.task, made.perturbations) == (expected.task, expected.perturbations)
+        assert (made.first.body, made.given_body) == (expected.first.body, expected.given_body)
+        assert made.task == expected.task
+        assert made.episodes.changes == expected.episodes.changes
 
 
 def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):

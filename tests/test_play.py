@@ -52,16 +52,16 @@ def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(env, 
     game = frames(env, Recorder(), seed=0)
     next(game)
     setup = env.unwrapped.setup
-    view = View(setup.farthest)
+    view = View(setup.limits.farthest)
     point_at(*view.pixel((-0.5, 1.5)))
     assert tuple(next(game)["target"]) == pytest.approx((-0.5, 1.5))
-    if setup.body.obstacles:
+    if setup.first.body.obstacles:
         point_at(*view.pixel((1.5, 1.0)))  # in the middle of one
         assert tuple(next(game)["target"]) == pytest.approx((-0.5, 1.5))
     for corner in ((0, 0), (SIZE - 1, 5), (10, SIZE - 60)):
         point_at(*corner)
         target = next(game)["target"].tolist()
-        assert setup.workspace.contains(target)
+        assert setup.first.workspace.contains(target)
         assert math.atan2(*target) == pytest.approx(math.atan2(*view.point(corner)))
 
 

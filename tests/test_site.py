@@ -24,7 +24,8 @@ from PIL import Image
 
 import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.envs.names import FAMILIES, TASKS
+from mmc_gym.envs.names import TASKS
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_scenario
 from tests.conftest import resize, wait_until

@@ -18,8 +18,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.names import BASELINE, FAMILIES, Change, Range, as_change
-from mmc_gym.envs.perturbations import OneOf
+from mmc_gym.envs.changes import Change, OneOf, Range
+from mmc_gym.envs.names import BASELINE, as_changes
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import Scenario, parse_scenario
 
 if TYPE_CHECKING:
@@ -48,12 +49,10 @@ def trained_ranges(cards: Iterable[PolicyCard | None]) -> Ranges:
     for card in cards:
         arguments = card.hyperparameters.get("env_kwargs") or {} if card else {}
         perturbations = arguments.get("perturbations", ())
-        several = isinstance(perturbations, list | tuple)
-        for change in map(as_change, perturbations if several else [perturbations]):
-            mixture = change.perturbation
-            for one in mixture.options if isinstance(mixture, OneOf) else (change,):
-                if one is not None and one.family is not None and one.range is not None:
-                    found[one.family.name].append(one.range)
+        for change in as_changes(perturbations):
+            for option in change.options if isinstance(change, OneOf) else (change,):
+                if option is not None and option.range is not None:
+                    found[option.family.name].append(option.range)
         if found:
             break
     return {name: sorted(ranges, key=lambda one: one.low) for name, ranges in found.items()}
@@ -63,12 +62,12 @@ def place_of(scenario: str, ranges: Ranges) -> Judged | None:
     """Return where a scenario is; None if it has a perturbation without a range."""
     with suppress(UserError):  # an environment of yours
         changes = parse_scenario(scenario).changes
-        families = [one.family.name if one.family else "" for one in changes]
+        families = [change.family.name for change in changes]
         if not changes or not ranges.keys() >= {*families}:
             return None
         if len(changes) > 1:
             return Judged("combined")
-        strength, own = changes[0].strength or 0.0, ranges[families[0]]
+        strength, own = changes[0].number or 0.0, ranges[families[0]]
         if any(one.low <= strength <= one.high for one in own):
             return Judged("inside", families[0], strength)
         within = min(0.0, own[0].low) < strength < max(one.high for one in own)
@@ -99,10 +98,10 @@ def protocol(cards: Iterable[PolicyCard | None]) -> list[str]:
             strengths = {*range(int(own[0].low), int(own[-1].high) + 1)}
         for strength in sorted(strengths - {0}):
             with suppress(UserError):  # there is no such strength
-                change = FAMILIES[name].with_strength(float(f"{strength:.3g}"))
+                change = FAMILIES[name](float(f"{strength:.3g}"))
                 singles.append(parse_scenario(change.name))
         middle = (own[-1].low + own[-1].high) / 2
-        middles.append(FAMILIES[name].with_strength(int(middle) if own[0].whole else middle))
+        middles.append(FAMILIES[name](int(middle) if own[0].whole else middle))
     pairs = zip(middles, [*middles[1:], *middles[:1]], strict=True)
     combined = [parse_scenario(f"{one.name}+{other.name}") for one, other in pairs if one != other]
     found = [BASELINE]

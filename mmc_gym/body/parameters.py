@@ -278,4 +278,6 @@ def _has_arrays(value: Any) -> bool:
 def _of_arm(value: Any, arm: int) -> Any:
     if type(value) is tuple:
         return tuple(_of_arm(one, arm) for one in value)
-    return value[arm].item() if isinstance(value, np.ndarray) else value
+    if not isinstance(value, np.ndarray):
+        return value
+    return value[arm] if value.dtype == object else value[arm].item()  # obstacles are tuples

@@ -2,13 +2,23 @@
 
 import os
 
-from mmc_gym.envs.names import Family, register_all, register_perturbation, register_task
+from mmc_gym.envs.changes import Change, Family, OneOf, Range
+from mmc_gym.envs.names import perturbation, register_all, register_task
 from mmc_gym.envs.scenarios import make, make_vec
 
 # Pygame greets on standard output, which may be piped.
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
-__all__ = ["Family", "make", "make_vec", "register_perturbation", "register_task"]
+__all__ = [
+    "Change",
+    "Family",
+    "OneOf",
+    "Range",
+    "make",
+    "make_vec",
+    "perturbation",
+    "register_task",
+]
 
 
 register_all()

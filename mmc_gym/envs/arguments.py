@@ -23,14 +23,13 @@ from mmc_gym._errors import (
     require_whole,
 )
 from mmc_gym.body import ArmParameters, Engine
-from mmc_gym.envs.names import Change
-from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.changes import Change, Family, OneOf
 from mmc_gym.envs.tasks import Task
 from mmc_gym.interface import CONTROLS, Control
 
 RewardType = Literal["dense", "sparse"]
 RENDER_MODES = ("human", "rgb_array")
-AnyChange: TypeAlias = str | Perturbation | Change
+AnyChange: TypeAlias = str | Change | Family | OneOf
 _MOST_ARMS = 10**8
 _MOST_PIXELS = 4096  # of a side
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mmc_gym._compiling import compiled
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
 from mmc_gym.envs.reach import HALF_PRECISE
-from mmc_gym.envs.spec import ReachSetup, State
+from mmc_gym.envs.setup import ReachSetup, State
 from mmc_gym.interface import OFFSET_SCALE
 
 Floats = NDArray[np.float64]

@@ -22,43 +22,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from inspect import signature
 from itertools import permutations
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from mmc_gym._errors import UserError, nearest, require, require_known, unknown
-from mmc_gym.envs import perturbations as perturbation_kinds
 from mmc_gym.envs import tasks as task_kinds
-from mmc_gym.envs.perturbations import (
-    FOUR_DISCS,
-    Channel,
-    CursorGain,
-    CursorJump,
-    CursorMirror,
-    EndpointFeedback,
-    ErrorClamp,
-    ForceField,
-    Gravity,
-    HandMass,
-    JointNoise,
-    LockedJoint,
-    NoFeedback,
-    Obstacles,
-    OneOf,
-    Perturbation,
-    SegmentLength,
-    SensoryDelay,
-    Timed,
-    VisionDelay,
-    VisionNoise,
-    VisuomotorRotation,
-    drawn_fields,
-)
+from mmc_gym.envs.changes import AnyChange, Change, Family, InUnits, OneOf, Range
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.tasks import (
     DoubleStep,
     PointToPoint,
@@ -92,172 +67,6 @@ class TaskEntry:
         return TASKS.get(self.name) == self
 
 
-@dataclass(frozen=True)
-class Range:
-    """A range of strengths, uniformly distributed."""
-
-    low: float
-    high: float
-    whole: bool = False  #: whether only whole numbers are drawn
-
-    def support(self) -> tuple[float, float]:
-        """Return the least and the greatest strength."""
-        return self.low, self.high
-
-    def ppf(self, shares: Any) -> Any:
-        """Return the strengths at the quantiles `shares` (0 to 1), in the same shape."""
-        if self.whole:
-            return np.minimum(self.low + np.floor((self.high - self.low + 1) * shares), self.high)
-        return self.low + (self.high - self.low) * shares
-
-
-@dataclass(frozen=True)
-class Family:
-    """Perturbations of one kind, which differ in strength."""
-
-    name: str  #: the first part of their names
-    unit: str  #: of the strength
-    description: str  #: of a scenario, one line; `{}` stands for the strength
-    default: float  #: strength of a name without one
-    #: makes the perturbation of a strength
-    make: Callable[[float], Perturbation] = field(compare=False)
-    known: bool = False  #: whether agents can be given the change (`-known`)
-    whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
-    has_strength: bool = True  #: if not, there is one perturbation, without a number
-
-    def with_strength(self, strength: float | Range, known: bool = False) -> Change:
-        """Return the perturbation of this strength; if `known`, agents are given the changed body.
-
-        From a `Range` each episode draws its strength.
-
-        Raises:
-            UserError: if there is no such strength, or if agents can never be given the change.
-        """
-        if known and not self.known:
-            accepted = ", ".join(one.name for one in FAMILIES.values() if one.known)
-            raise UserError(f"'-known' may follow {accepted} only, got it after {self.name!r}")
-        if not self.has_strength and strength != self.default:
-            raise UserError(f"{self.name} takes no strength, got {_digits(strength)}")
-        name = f"{self.name}-{_digits(strength)}"
-        if isinstance(strength, Range):
-            accepted = "from a low to a higher strength, or to the same"
-            fine = strength.low <= strength.high
-            require(fine, f"the range of {self.name}", _digits(strength), accepted)
-            accepted = "left out, as agents are given their arm once, not for each episode"
-            require(not known, name, "-known", accepted)
-            self.with_strength(strength.low)
-            return replace(self.with_strength(strength.high), strength=None, range=strength)
-        try:
-            perturbation = self.make(strength)
-        except (UserError, TypeError) as error:
-            raise UserError(f"{name} has no such strength: {error}") from error
-        accepted, name = "a Perturbation of the strength", f"what {self.name!r} makes"
-        require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
-        perturbation.check_hooks()
-        if self.known:
-            perturbation = replace(perturbation, known=known)  # type: ignore[type-var]
-        return Change(perturbation, self, strength)
-
-
-@dataclass(frozen=True)
-class Change:
-    """A perturbation with its strength and its family, or one of your own without a family."""
-
-    perturbation: Perturbation
-    family: Family | None = None
-    strength: float | None = None  #: comparable within the family
-    range: Range | None = None  #: each episode draws a strength from it; `strength` is None
-
-    @property
-    def name(self) -> str:
-        """The name for people and files: "longer-35-known"; without a family, the class's name."""
-        strength = self.strength if self.range is None else self.range
-        if self.family is None or strength is None:
-            return type(self.perturbation).__name__
-        number = f"-{_digits(strength)}" if self.family.has_strength else ""
-        return f"{self.family.name}{number}{self.suffix}"
-
-    @property
-    def suffix(self) -> str:
-        """The end of the name, after the strength: "-at-1-over-2", "-known", or empty."""
-        timing = "".join(f"-{word}-{_digits(seconds)}" for word, seconds in self._timing)
-        return timing + ("-known" if self._is_given else "")
-
-    @property
-    def _timing(self) -> list[tuple[str, float]]:
-        """The pairs ("at", start) and ("over", duration of growth), s, without those that are 0."""
-        one = self.perturbation
-        timing = [("at", one.at), ("over", one.over)] if isinstance(one, Timed) else []
-        return [(word, seconds) for word, seconds in timing if seconds]
-
-    @property
-    def _is_given(self) -> bool:
-        return bool(self.family and self.family.known and self.known)
-
-    @property
-    def known(self) -> bool:
-        """Whether agents are given the changed body."""
-        return self.perturbation.known
-
-    @property
-    def is_drawn(self) -> bool:
-        """Whether each episode draws its own strength or option."""
-        one = self.perturbation
-        return bool(self.range or hasattr(one, "ppf") or drawn_fields(one, self.untimed))
-
-    @property
-    def untimed(self) -> Perturbation:
-        """The perturbation at full strength, without `Timed` around it."""
-        one = self.perturbation
-        return one.perturbation if isinstance(one, Timed) else one
-
-    @property
-    def unit(self) -> str:
-        """The unit of the strength; empty without a family."""
-        return self.family.unit if self.family else ""
-
-    @property
-    def description(self) -> str:
-        """One line that says what changes, and when."""
-        strength = self.strength if self.range is None else self.range
-        if self.family is None or strength is None:
-            return self.name
-        parts = [self.family.description.format(_digits(strength))]
-        if self.family.known:
-            parts.append("given to agents" if self.known else "not given to agents")
-        if self.range is not None:
-            parts.append("drawn for each episode")
-        words = {"at": "from {} s on", "over": "growing over {} s"}
-        parts += [words[word].format(_digits(seconds)) for word, seconds in self._timing]
-        return ", ".join(parts)
-
-    def with_strength(self, strength: float) -> Change:
-        """Return the same perturbation with another strength.
-
-        Raises:
-            UserError: if there is no such strength, or if the perturbation has no family.
-        """
-        if self.family is None:
-            raise UserError(f"the perturbation {self.name} has no family, and so no strength")
-        return self.family.with_strength(strength, self._is_given).timed(**dict(self._timing))
-
-    def timed(self, at: float = 0.0, over: float = 0.0) -> Change:
-        """Return the change, to begin `at` s after the start and grow for `over` s; see `Timed`."""
-        if not at and not over:
-            return self
-        try:
-            return replace(self, perturbation=Timed(self.perturbation, at, over))
-        except UserError as error:
-            raise UserError(f"{self.name} cannot begin or grow like this: {error}") from error
-
-
-def _digits(strength: float | Range) -> str:
-    """Return a strength as text for a name: exact, and without an exponent (0.00001, not 1e-05)."""
-    if isinstance(strength, Range):
-        return f"{_digits(strength.low)}..{_digits(strength.high)}"
-    return np.format_float_positional(strength, trim="-")
-
-
 # Parsing
 
 _CHANGE = re.compile(
@@ -273,7 +82,7 @@ def parse_parts(name: object) -> tuple[TaskEntry, tuple[Change, ...]]:
     first, *others = task_ids().get(name, name).split("+")
     if first not in TASKS:
         first, others = BASELINE, [first, *others]
-    return TASKS[first], tuple(parse_change(one, "scenario") for one in others)
+    return TASKS[first], tuple(parse_change(other, "scenario") for other in others)
 
 
 def parse_change(name: object, argument: str = "perturbations") -> Change:
@@ -283,20 +92,21 @@ def parse_change(name: object, argument: str = "perturbations") -> Change:
     'last segment 35 % longer, given to agents'
     >>> parse_change("rotation-30").with_strength(0.125).name
     'rotation-0.125'
-    >>> parse_change("rotation--80-at-1").perturbation.at
+    >>> parse_change("rotation--80-at-1").at
     1.0
     """
     match = _CHANGE.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
         raise _unknown(name, argument)
     family = FAMILIES[match["family"]]
-    strength: float | Range = family.default
-    if match["strength"] is not None:
-        strength = float(match["strength"])
-    if match["high"] is not None:
-        strength = Range(float(match["strength"]), float(match["high"]), family.whole)
-    change = family.with_strength(strength, known=match["known"] is not None)
-    return change.timed(float(match["at"] or 0), float(match["over"] or 0))
+    low = family.default if match["strength"] is None else float(match["strength"])
+    high = match["high"]
+    strength = low if high is None else Range(low, float(high), family.whole)
+    try:
+        times = {word: float(match[word] or 0) for word in ("at", "over")}
+        return family(strength, known=match["known"] is not None, **times)
+    except UserError as error:
+        raise UserError(f"{argument} {name!r} is not possible: {error}") from error
 
 
 def parse_task(name: object) -> TaskEntry:
@@ -306,16 +116,24 @@ def parse_task(name: object) -> TaskEntry:
     return TASKS[name]
 
 
-def as_change(value: object) -> Change:
+def as_change(value: object) -> AnyChange:
     """Return the change that a name, an object, or what `as_plain` made of one stands for."""
     value = _from_plain(value) if isinstance(value, Mapping) else value
     if isinstance(value, OneOf):
-        changes = (None if one is None else as_change(one) for one in value.options)
-        return Change(OneOf(*changes, weights=value.weights))
-    if isinstance(value, Perturbation):
-        value.check_hooks()
-        return Change(value)
+        changes = [None if option is None else as_change(option) for option in value.options]
+        is_flat = not any(isinstance(option, OneOf) for option in changes)
+        require(is_flat, "OneOf", value, "without another OneOf in it")
+        return OneOf(*changes, weights=value.weights)
+    if isinstance(value, Family):
+        return value()
     return value if isinstance(value, Change) else parse_change(value)
+
+
+def as_changes(perturbations: Any) -> list[AnyChange]:
+    """Return one perturbation, or several, as a list of changes."""
+    if isinstance(perturbations, str | Mapping) or not isinstance(perturbations, Sequence):
+        perturbations = (perturbations,)
+    return [as_change(perturbation) for perturbation in perturbations]
 
 
 def as_task(value: object) -> Task:
@@ -329,33 +147,40 @@ def as_task(value: object) -> Task:
 
 # For files.  Only objects of this package and of scipy.stats are made from them.
 
-_KINDS: dict[str, Any] = {
+_TASK_KINDS: dict[str, Any] = {
     name: kind
-    for name, kind in {**vars(perturbation_kinds), **vars(task_kinds)}.items()
-    if is_dataclass(kind) and isinstance(kind, type) and issubclass(kind, Perturbation | Task)
+    for name, kind in vars(task_kinds).items()
+    if is_dataclass(kind) and isinstance(kind, type) and issubclass(kind, Task)
 }
 
 
 def as_plain(value: Any) -> Any:
-    """Return an argument as a file can hold it: changes by name, or else by class and fields.
+    """Return an argument as a file can hold it: changes by name, or else by their numbers.
 
     Objects of your own classes stay as they are.
 
-    >>> as_plain([parse_change("gain-2"), OneOf(LockedJoint(0), None)])[1]["one_of"]
-    [{'name': 'LockedJoint', 'joint': 0, 'time': 0.0, 'known': False}, None]
+    >>> as_plain([parse_change("gain-2"), FAMILIES["rotation"](5, centre=(0, 1))])
+    ['gain-2', {'family': 'rotation', 'strength': 5.0, 'centre': [0, 1]}]
     """
     if isinstance(value, list | tuple):
-        return [as_plain(one) for one in value]
-    if isinstance(value, Change):
-        return value.name if value.family is not None else as_plain(value.perturbation)
+        return [as_plain(each) for each in value]
     if isinstance(value, OneOf):
         return {"one_of": as_plain(value.options), "weights": list(value.weights)}
+    if isinstance(value, Change):
+        if value.is_named:
+            return value.name
+        times = {"at": value.at, "over": value.over, "known": value.known}
+        more = {name: number for name, number in times.items() if number} | dict(value.settings)
+        plain = {name: as_plain(number) for name, number in more.items()}
+        return {"family": value.family.name, "strength": as_plain(value.strength), **plain}
+    if isinstance(value, Range | InUnits):
+        return {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
     if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
         return {"name": value.dist.name, "args": list(value.args), **value.kwds}
-    if _KINDS.get(type(value).__name__) is not type(value):
+    if _TASK_KINDS.get(type(value).__name__) is not type(value):
         return value
-    own = {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
-    return {"name": type(value).__name__, **own}
+    entries = {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
+    return {"name": type(value).__name__, **entries}
 
 
 def _from_plain(value: Any) -> Any:
@@ -369,10 +194,15 @@ def _from_plain(value: Any) -> Any:
         accepted = "a list of perturbations; null is no change"
         require(isinstance(value["one_of"], list | tuple), "one_of", value["one_of"], accepted)
         return OneOf(*value["one_of"], weights=value.get("weights"))
-    given = {key: _from_plain(one) for key, one in value.items() if key not in ("name", "args")}
-    kind: Any = _KINDS.get(str(value.get("name")))
+    named = ("name", "args", "family")
+    entries = {key: _from_plain(each) for key, each in value.items() if key not in named}
+    kind: Any = FAMILIES.get(str(value.get("family"))) or _TASK_KINDS.get(str(value.get("name")))
     args = value.get("args")
-    if args is not None:
+    if entries.keys() == {"low", "high", "whole"}:
+        kind = Range
+    elif entries.keys() == {"distribution", "factor", "offset"}:
+        kind = InUnits
+    elif args is not None:
         from scipy import stats  # `import mmc_gym` loads none of it
 
         kind = getattr(stats, str(value.get("name")), None)
@@ -380,7 +210,7 @@ def _from_plain(value: Any) -> Any:
     accepted = "of a class of this package or scipy.stats; a name that you register is kept, too"
     require(kind is not None, "an object from a file", value, accepted)
     try:
-        return kind(*(args or ()), **given)
+        return kind(*(args or ()), **entries)
     except (TypeError, ValueError) as error:
         raise UserError(f"an object from a file is not possible, got {value}: {error}") from error
 
@@ -390,7 +220,7 @@ def _unknown(name: object, argument: str) -> UserError:
     text = name if isinstance(name, str) else ""
     if text in TASKS:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
-    known, also = [*FAMILIES], "a Perturbation"
+    known, also = [*FAMILIES], "a Change"
     if argument == "scenario":
         known, also = [*TASKS, *FAMILIES], "several (centre-out+rotation-30)"
     elif "+" in text:
@@ -400,123 +230,6 @@ def _unknown(name: object, argument: str) -> UserError:
     meant = guess + "".join(strength)
     guess = meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
     return unknown(argument, name, known, "one with a strength (delay-160)", also, guess=guess)
-
-
-# Families
-
-
-def _longer(percent: float) -> SegmentLength:
-    return SegmentLength(1 + percent / 100)
-
-
-def _shorter(percent: float) -> SegmentLength:
-    fine = bool(np.all(percent < 100))
-    require(fine, "the change of the segment's length", percent, "less than 100 %")
-    return SegmentLength(1 - percent / 100)
-
-
-def _seconds(ms: float) -> float:
-    require(bool(np.all((ms >= 0) & (ms <= 1e6))), "the delay", ms, "from 0 to 1000000 ms")
-    return ms / 1000
-
-
-def _delay(ms: float) -> SensoryDelay:
-    return SensoryDelay(_seconds(ms))
-
-
-def _no_feedback(_: float) -> NoFeedback:
-    return NoFeedback()
-
-
-def _endpoint_feedback(_: float) -> EndpointFeedback:
-    return EndpointFeedback()
-
-
-def _vision_delay(ms: float) -> VisionDelay:
-    return VisionDelay(_seconds(ms))
-
-
-def _locked(number: float, time: float = 0.0) -> LockedJoint:
-    fine = bool(np.all(np.isfinite(number) & (number >= 1) & (np.floor(number) == number)))
-    require(fine, "the joint that locks", number, "a whole number from 1 (at the base) on")
-    joints: Any = np.asarray(number).astype(int) - 1  # of many arms, or of one
-    return LockedJoint(joints if joints.ndim else int(joints), time)
-
-
-def _obstacles(count: float) -> Obstacles:
-    fine = count in range(1, len(FOUR_DISCS) + 1)
-    accepted = f"a whole number from 1 to {len(FOUR_DISCS)}"
-    require(fine, "the number of obstacles", count, accepted)
-    return Obstacles(FOUR_DISCS[: int(count)])
-
-
-_JOINT: Any = {"known": True, "whole": True}
-_FAMILIES = (  # name, unit, description, default, make
-    Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
-    Family("channel", "mass/s", "walls along the way, as for a curl field of {}", 60.0, Channel),
-    Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
-    Family("gain", "times", "cursor {} times as far as the hand", 1.4, CursorGain),
-    Family("mirror", "° of the axis", "cursor mirrored at an axis of {}°", 90.0, CursorMirror),
-    Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
-    Family(
-        "cursor-jump", "% of the way", "cursor jumps across the way by {} % of it", 10.0, CursorJump
-    ),
-    Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
-    Family("longer", "%", "last segment {} % longer", 20.0, _longer, known=True),
-    Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, known=True),
-    Family(
-        "locked", "joint", "joint {} (from the base) locked from the start", 2.0, _locked, **_JOINT
-    ),
-    Family(
-        "locks",
-        "joint",
-        "joint {} (from the base) locked after 0.2 s",
-        2.0,
-        partial(_locked, time=0.2),
-        **_JOINT,
-    ),
-    Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
-    Family(
-        "joint-noise-speed",
-        "s",
-        "noise of joint angles, {} s of joint speed",
-        0.01,
-        partial(JointNoise, 0.0),
-    ),
-    Family(
-        "vision-noise",
-        "lengths",
-        "noise of the seen hand and target, {} segment lengths",
-        0.03,
-        VisionNoise,
-    ),
-    Family(
-        "vision-noise-distance",
-        "of distance",
-        "noise of the seen hand and target, {} of their distance",
-        0.05,
-        partial(VisionNoise, 0.0),
-    ),
-    Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
-    Family("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, _vision_delay),
-    Family(
-        "no-feedback", "", "hand not seen after the start", 1.0, _no_feedback, has_strength=False
-    ),
-    Family(
-        "endpoint-feedback",
-        "",
-        "hand seen at the end of the movement only",
-        1.0,
-        _endpoint_feedback,
-        has_strength=False,
-    ),
-    Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
-    Family(
-        "gravity", "lengths/s²", "arm hangs in a gravity of {} segment lengths/s²", 60.0, Gravity
-    ),
-)
-FAMILIES: dict[str, Family] = {one.name: one for one in _FAMILIES}
-"""The families of perturbations by name."""
 
 
 # Tasks
@@ -547,7 +260,7 @@ _TASKS = (
     TaskEntry("pursuit", Pursuit(), "target moves along sums of sines"),
     TaskEntry("via-points", ViaPoints(), "three targets, one after the other"),
 )
-TASKS: dict[str, TaskEntry] = {one.name: one for one in _TASKS}
+TASKS: dict[str, TaskEntry] = {entry.name: entry for entry in _TASKS}
 """The tasks by name."""
 
 
@@ -597,22 +310,67 @@ def register_task(name: str, task: Task, description: str = "") -> None:
         task: an object of your class.
         description: one line for the report.
     """
-    fine = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
-    fine = fine and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
-    require(fine, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
+    is_free = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
+    is_name = is_free and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
+    require(is_name, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
     require(isinstance(task, Task), "task", task, "an object of a class derived from Task")
     TASKS[name] = entry = TaskEntry(name, task, description or name.replace("-", " "))
     _register(environment_id(name), entry)
 
 
-def register_perturbation(family: Family) -> None:
-    """Register your own family, for scenarios, arguments, the benchmark and the report.
+def perturbation(
+    name: str,
+    *,
+    unit: str = "",
+    default: float = 1.0,
+    neutral: float | None = None,
+    description: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    whole: bool = False,
+    known: bool = False,
+) -> Callable[[Callable[..., None]], Family]:
+    """Register your own family of perturbations, a function that overwrites columns of arms.
 
-    The family's name must be words with hyphens that name no task and no family of this package.
+    It is drawn, timed, native in vectors and shown as context without more::
+
+        @mmc_gym.perturbation("heavy-middle", unit="times", default=2, neutral=1)
+        def heavy_middle(arms, factor):
+            arms.segment_masses[:, 1] *= factor
+
+
+        mmc_gym.make("centre-out+heavy-middle-1..3")
+
+    Args:
+        name: words with hyphens that name no task and no family of this package.
+        unit: of the strength.
+        default: the strength of a name without one.
+        neutral: the strength that changes nothing; without one it cannot grow (`-over-`).
+        description: a line for lists and the report; `{}` stands for the strength.
+        low: the least strength.
+        high: the greatest strength.
+        whole: whether strengths are whole numbers.
+        known: whether agents can be given the change (`-known`), which must be one of the body.
+
+    Returns:
+        A decorator of a function of `(arms, strength)`: `mmc_gym.envs.arms.Arms` of n arms, and
+        their strengths, (n,).  It returns the `Family`, which makes a perturbation of a strength.
     """
-    require(isinstance(family, Family), "family", family, "a Family")
-    fine = family.name not in {*TASKS, *_SHIPPED}
-    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*(?<!-at)(?<!-over)", family.name) is not None
-    require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
-    family.with_strength(family.default)  # raises an error if the family is not consistent
-    FAMILIES[family.name] = family
+    is_free = isinstance(name, str) and name not in {*TASKS, *_SHIPPED}
+    pattern = "[a-z]+(-[a-z]+)*(?<!-at)(?<!-over)"
+    is_name = is_free and re.fullmatch(pattern, name) is not None
+    require(is_name, "name", name, "words of a-z with hyphens, that no task or other family has")
+    words = description or f"{name.replace('-', ' ')} {{}} {unit}".strip()
+
+    def register(apply: Callable[..., None]) -> Family:
+        parameters = [*signature(apply).parameters.values()] if callable(apply) else []
+        are_optional = all(each.default is not each.empty for each in parameters[2:])
+        is_function = len(parameters) >= 2 and are_optional
+        require(is_function, name, apply, "a function of (arms, strength)")
+        facts = {"neutral": neutral, "low": low, "high": high, "whole": whole, "known": known}
+        family = Family(name, unit, words, float(default), apply, **facts)  # type: ignore[arg-type]
+        family()  # raises an error if the default is not accepted
+        FAMILIES[name] = family
+        return family
+
+    return register

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import reduce
 from operator import add, mul, sub
 from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
@@ -19,14 +20,9 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
-from mmc_gym.envs.perturbations import Feedback
-from mmc_gym.envs.spec import (
-    GoalSetup,
-    ReachEnvironment,
-    ReachSetup,
-    RewardSettings,
-    require_finite_numbers,
-)
+from mmc_gym.envs.senses import Disturbance, HandSight, Noise
+from mmc_gym.envs.setup import Episode, GoalSetup, ReachEnvironment, ReachSetup, RewardSettings
+from mmc_gym.envs.trials import check_target, require_finite_numbers
 from mmc_gym.envs.workspace import Point, distances
 from mmc_gym.interface import Seen, relative_speeds
 
@@ -38,8 +34,7 @@ Info = dict[str, Any]
 Number = TypeVar("Number", float, NDArray[np.floating])
 Numbers = Sequence[Any] | NDArray[np.floating]  # joints first
 HALF_PRECISE = 0.05  # segment lengths
-_MOVING = 0.05  # of the peak speed; a slower hand has ended its movement, as in `mmc_gym.measures`
-_FASTEST_REST = 0.1  # segment lengths / s; a slower peak is no movement
+_FIRST = np.zeros(1, dtype=np.intp)  # of the only arm
 
 
 class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
@@ -118,16 +113,16 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `control`, `reward_type` ("dense", "sparse"), `control_weight`, `precision_weight`,
     `smoothness_weight`, `success_distance`, `terminate_on_success`, `render_mode` ("human",
     "rgb_array"), `width` and `height` of pictures, `task` (a name or a `Task`; by name only tasks
-    with the id's number of steps), `perturbations` (names or `Perturbation`s), `observe_context`,
+    with the id's number of steps), `perturbations` (names or `Change`s), `observe_context`,
     `engine` ("pymunk", "analytic"), and the fields of `mmc_gym.body.ArmParameters`; the signature
     has the defaults.  The arm has as many joints as `segment_lengths`; action and observation grow
     with it.
 
     ## Drawn Perturbations
     The strength of a perturbation may be a range (`"rotation--60..60"`) or a frozen distribution of
-    scipy.stats (`VisuomotorRotation(uniform(-60, 120))`), and a perturbation `OneOf` several
-    (`mmc_gym.envs.drawn`): each episode draws its own.  `context` and `info["context"]` have what
-    was drawn; `reset(options={"context": {"rotation": 30}})` sets it.  `observe_context=True`
+    scipy.stats (`VisuomotorRotation(uniform(-60, 120))`), and a perturbation `OneOf` several: each
+    episode draws its own.  `context` and `info["context"]` have what was drawn;
+    `reset(options={"context": {"rotation": 30}})` sets it.  `observe_context=True`
     appends it to the observation, scaled to ±1, for agents that are trained with it;
     `observe_context="rotation--60..60"` does so on that scale, whatever the perturbations are.
     `env.unwrapped.set_perturbations(…)` sets what later episodes draw from, while the scale stays:
@@ -149,19 +144,16 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _make(self, kind: type[ReachSetup], arguments: SingleArguments) -> None:
         self._arguments, self._kind = arguments, kind
-        self.setup = self._of_all = setup = kind(arguments)
+        self.setup = self._next_setup = setup = kind(arguments)
         self.render_mode = arguments.render_mode
         self.metadata = {**type(self).metadata, "render_fps": setup.frame_rate}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
         self.observation_space = setup.observation_space
-        self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
-        self._draws = setup.draws
-        self._numbers = np.zeros(0) if setup.draws is None else setup.draws.samples()[0]
-        self._shown = setup.context_of(self._numbers[None])[0]
-        self._hand_sight = HandSight(1, setup.unperturbed.control_step)
+        self._arm = make_arm(setup.engine, setup.first.body, setup.action.servo)
+        self._hand_sight = HandSight(1, setup.control_step)
         self._renderer: Renderer | None = None
-        self._begin(setup)
+        self._begin(setup, setup.first)
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
         self._ghost: list[float] | None = None
@@ -175,25 +167,22 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
         If an option is not accepted, the environment stays as it was.
         """
-        of_all = self._of_all
-        checked = of_all.check_options(options)
+        setup = self._next_setup
+        checked = setup.check_options(options)
         if checked.context is not None:
             random = self.np_random if seed is None else seeding.np_random(seed)[0]
-            of_all.episodes_beyond(checked.context, [random])
+            setup.episodes_beyond(checked.context, [random])
         super().reset(seed=seed)
-        if of_all.draws is not None:
-            numbers = of_all.drawn([self.np_random], checked.context)[0]
-            self._begin(of_all.episode(numbers))
-            self._numbers, self._shown = numbers, of_all.context_of(numbers[None])[0]
-        elif self.setup is not of_all:
-            self._begin(of_all)
-        self._draws, self._is_started = of_all.draws, True
-        self._place(*self.setup.draw_trial(self.np_random, checked))
+        if setup.episodes.is_drawn:
+            numbers = setup.episodes.drawn([self.np_random], checked.context)[0]
+            self._begin(setup, setup.episode(numbers))
+        elif self.setup is not setup:
+            self._begin(setup, setup.first)
+        self._is_started = True
+        self._place(*setup.trials.draw(self.episode.workspace, self.np_random, checked))
         observation, _, info = self._look_and_reward()
-        self._late.extend([observation] * self.setup.delay)
+        self._late.extend([observation] * self.episode.disturbance.delay)
         observation = self._delayed(observation)
-        self._context = self.context
-        self._has_context = self._draws is not None or len(self._shown) > 0
         if self._has_context:
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
@@ -223,7 +212,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self._has_events:
             self._advance_events()
         observation, reward, info = self._look_and_reward()
-        if setup.are_senses_disturbed:
+        if self._is_late:
             observation = self._delayed(observation)
         if self._has_context:
             observation = self._with_context(observation, info)
@@ -242,7 +231,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         The target stays there, whatever the task.  A point out of reach raises a `UserError`, and
         the target stays where it was.
         """
-        self._targets = [self.setup.check_target("target", target)]
+        self._targets = [check_target("target", target, self.episode.workspace)]
         self._target = self._targets[0]
 
     def show_posture(self, joint_angles: ArrayLike | None) -> None:
@@ -264,7 +253,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
         if self._renderer is None:
             size = self._arguments.width, self._arguments.height
-            self._renderer = Renderer(self.setup, self.render_mode, size)
+            self._renderer = Renderer(self.setup, self.episode, self.render_mode, size)
         scene = Scene(
             self._arm.segment_angles,
             self._target,
@@ -272,7 +261,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             path=self._targets,
             ghost=self._ghost,
             steps=self._steps,
-            observation=self._late[-1 - self._now.delay] if self._late else None,
+            cursor=self.disturbance.cursor,
+            observation=self._late[-1 - self.disturbance.delay] if self._late else None,
         )
         return self._renderer.draw(scene)
 
@@ -285,38 +275,54 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
-    def _begin(self, setup: ReachSetup) -> None:
-        """Use this setup for the next episode, and empty the buffers of late observations."""
-        if setup.body != self.setup.body:
+    def _begin(self, setup: ReachSetup, episode: Episode) -> None:
+        """Let an episode be the present one, and empty the buffers of late observations."""
+        if self.setup is not setup or episode.body != self._arm.parameters:
             self.close()  # the window shows one arm
-        self.setup = setup
-        self._has_events = setup.path_length > 1 or bool(setup.lock_step) or setup.is_timed
-        self._has_events = self._has_events or bool(setup.full.feedback)
-        self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
-        self._sights: deque[tuple[Point, Point]] = deque(maxlen=setup.vision_delay + 1)
+        self.setup, self.episode, self._numbers = setup, episode, episode.numbers
+        self._shown, self._context = setup.context_of(episode.numbers[None])[0], self.context
+        self._has_context = setup.episodes.is_drawn or len(self._shown) > 0
+        delay, vision_delay = episode.disturbance.delay, episode.disturbance.vision_delay
+        self._has_events = setup.trials.path_length > 1 or episode.lock_step > 0 or setup.is_timed
+        self._has_events = self._has_events or setup.has_noise or setup.may_hide
+        self._is_late = setup.are_senses_disturbed
+        self._late: deque[Any] = deque(maxlen=delay + 1)  # observations on their way
+        self._sights: deque[tuple[Point, Point]] = deque(maxlen=vision_delay + 1)
+        self._noise = Noise(1, setup.joint_count, setup.episodes.touched)
 
     def _with_context(self, observation: Any, info: Info) -> Any:
         """Write the drawn context into `info`; return the observation with the observed context."""
-        if self._draws is not None:
+        if self._context:
             info["context"] = self._context.copy()
         return with_context(observation, self._shown) if len(self._shown) else observation
 
     def _place(self, posture: list[float], targets: list[Point]) -> None:
-        self._arm.reset(posture, parameters=self.setup.body)
-        if self.setup.loads:
-            self._arm.load(self.setup.body_after(0))
+        setup, episode = self.setup, self.episode
+        self._arm.reset(posture, parameters=episode.body)
+        self.disturbance = episode.disturbance
+        self._spans = setup.episodes.spans(episode.numbers)
+        if setup.is_timed:
+            self._change(0)
+        if (noise := episode.disturbance.noise) is not None:
+            self._noise.begin(_FIRST, noise)
         self._speeds = [0.0] * len(posture)
         self._steps = self._place_on_path = 0
-        self._now = self.setup.disturbance(0) if self.setup.is_timed else self.setup.full
         self._targets, self._target = targets, targets[0]
-        self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
-        if self.setup.lock_step == 0:
+        self._is_last_target = setup.task.advance == "time" or len(targets) == 1
+        if episode.lock_step == 0:
             self._arm.lock()
-        if self.setup.channel is not None:
+        if setup.channel is not None:
             self._arm.confine(self._arm.end_effector, self._target)
         self._sights.clear()
         self._trace.clear()
         self._trace.append(self._arm.end_effector)
+
+    def _change(self, steps: int) -> None:
+        """Let the perturbations be what they are after so many control steps."""
+        arms = self.setup.episodes.arms(self._numbers[None], steps)
+        self.disturbance = Disturbance.of(arms, self.setup.episodes.touched).of_one()
+        if self.setup.is_loaded:
+            self._arm.load(arms.parameters(self.setup.episodes.touched))
 
     def _command(self, action: ArrayLike) -> list[float]:
         if type(action) is not np.ndarray or action.dtype.kind != "f":
@@ -332,11 +338,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _advance_events(self) -> None:
         """Move the target along its path and lock joints, after a step."""
         self._steps += 1
-        if self.setup.is_timed:
-            self._now = self.setup.disturbance(self._steps)
-        if self.setup.loads and self.setup.is_loaded_after(self._steps):
-            self._arm.load(self.setup.body_after(self._steps))
-        if self._steps == self.setup.lock_step:
+        if any(first <= self._steps <= last for first, last in self._spans):
+            self._change(self._steps)
+        if self._steps == self.episode.lock_step:
             self._arm.lock()
         task, last = self.setup.task, len(self._targets) - 1
         if task.advance == "time":
@@ -350,7 +354,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _look_and_reward(self) -> tuple[Any, float, Info]:
         """Return observation, reward and info of the present state; store its joint speeds."""
         arm, setup, target = self._arm, self.setup, self._target
-        cursor = self._now.cursor
+        cursor = self.disturbance.cursor
         hand = arm.end_effector if cursor is None else self._seen_hand()
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
         distance = _distance(hand, target)
@@ -367,38 +371,35 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if setup.is_sight_disturbed:
             sights = self._sights
             sights.append((hand, target))  # at first fewer than the delay: the first is the start
-            hand, target = sights[max(len(sights) - 1 - self._now.vision_delay, 0)]
+            hand, target = sights[max(len(sights) - 1 - self.disturbance.vision_delay, 0)]
             state = arm.joint_angles, target, arm.joint_velocities, hand
             true = Seen(*(np.array([each]) for each in state))
             return self._observe(true, info), reward, info
         seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
         return seen, reward, info
 
-    def _observe(self, true: Seen, info: Info) -> Any:
+    def _observe(self, seen: Seen, info: Info) -> Any:
         """Return the observation under noise and feedback; say in `info` if the hand is seen."""
-        setup, now, sight = self.setup, self._now, self._hand_sight
-        if not setup.full.feedback:
-            return setup.observe(true, now.noises, [self.np_random])[0]
-        hands, arms, steps = info["end_effector"][None], np.array([0]), np.array([self._steps])
-
-        def look(seen: Floats) -> Floats:
-            return sight.look(arms, steps, hands, seen, now.feedback)
-
-        observation = setup.observe(true, now.noises, [self.np_random], look)[0]
-        info["is_hand_seen"] = np.array(sight.is_seen[0])
-        return observation
+        now, steps = self.disturbance, np.array([self._steps])
+        if now.noise is not None:
+            seen = self._noise.disturb(seen, now.noise, _FIRST, steps, [self.np_random])
+        if now.hidden is not None:
+            hands, sight = info["end_effector"][None], self._hand_sight
+            seen = replace(seen, hand=sight.look(_FIRST, steps, hands, seen.hand, now.hidden))
+            info["is_hand_seen"] = np.array(sight.is_seen[0])
+        return self.setup.observe(seen)[0]
 
     def _seen_hand(self) -> Point:
         """Return the position of the hand, or of the cursor that stands for it."""
-        cursor, hand = self._now.cursor, self._arm.end_effector
-        return hand if cursor is None else cursor.cursor(*hand, self._target)
+        cursor, hand = self.disturbance.cursor, self._arm.end_effector
+        return hand if cursor is None else cursor.at(*hand, self._target)
 
     def _delayed(self, observation: Any) -> Any:
         """Store an observation; return the one that arrives now, which shares no memory."""
-        if not self.setup.are_senses_disturbed:
+        if not self._is_late:
             return observation
         self._late.append(observation)
-        return self._late[-1 - self._now.delay].copy()
+        return self._late[-1 - self.disturbance.delay].copy()
 
 
 def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
@@ -406,43 +407,6 @@ def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
     if isinstance(observation, dict):
         return {**observation, "observation": with_context(observation["observation"], shown)}
     return np.concatenate([observation, shown], axis=-1)
-
-
-class HandSight:
-    """A memory of where the hands of n arms were last seen, and of their movements' ends."""
-
-    def __init__(self, count: int, control_step: float) -> None:
-        self._seen, self._hands = np.zeros((2, count, 2))
-        self._peaks, self._fastest_rest = np.zeros(count), _FASTEST_REST * control_step
-        self._has_ended = np.zeros(count, dtype=bool)
-        self.is_seen = np.ones(count, dtype=bool)  #: in the last look, (n,)
-
-    def look(
-        self,
-        arms: NDArray[np.intp],
-        steps: NDArray[np.intp],
-        hands: Floats,
-        seen: Floats,
-        feedback: Sequence[Feedback],
-    ) -> Floats:
-        """Return where the hands of k arms were last seen, (k, 2), and remember it.
-
-        `arms` are indices, (k,), `steps` control steps since the start, (k,), `hands` the true
-        positions, (k, 2), and `seen` those that would be shown without `feedback`, (k, 2).
-        """
-        starts = steps == 0
-        self._peaks[arms[starts]], self._has_ended[arms[starts]] = 0.0, False
-        moved = np.where(starts, 0.0, distances(hands, self._hands[arms]))
-        peaks = np.maximum(self._peaks[arms], moved)
-        is_slow = (moved < _MOVING * peaks) & (peaks > self._fastest_rest)
-        ends = is_slow & ~self._has_ended[arms]
-        is_seen = np.ones(len(arms), dtype=bool)
-        for one in feedback:
-            is_seen &= starts | (np.asarray(one.hidden) == 0.0) | one.shows(ends)
-        self._hands[arms], self._peaks[arms], self.is_seen[arms] = hands, peaks, is_seen
-        self._has_ended[arms] |= ends
-        self._seen[arms] = np.where(is_seen[:, None], seen, self._seen[arms])
-        return self._seen[arms]
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.

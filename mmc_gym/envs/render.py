@@ -22,7 +22,8 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.envs.cursor import Cursor
+from mmc_gym.envs.setup import Episode, ReachSetup
 from mmc_gym.geometry import in_the_world, reachable_radii
 
 Color = tuple[int, int, int]
@@ -167,20 +168,23 @@ class Scene:
     path: Sequence[Place] = ()  #: all places of the target; empty if it does not move
     ghost: Sequence[float] | None = None  #: N joint angles of an internal model, radians
     steps: int = 0  #: control steps since the reset
+    cursor: Cursor | None = None  #: stands for the hand
     observation: Any = None  #: with noise and delay; drawn if the senses are disturbed
 
 
 class Renderer:
     """Paints an arm and its target, frame by frame, into an array or a window."""
 
-    def __init__(self, setup: ReachSetup, mode: str, size: tuple[int, int] = (SIZE, SIZE)) -> None:
+    def __init__(
+        self, setup: ReachSetup, episode: Episode, mode: str, size: tuple[int, int] = (SIZE, SIZE)
+    ) -> None:
         """Make a renderer for one arm, whose world is a square in a picture of (width, height).
 
         In `mode` "human" it opens a window, and `draw` waits until the picture is due.
         """
-        self._setup = setup
-        self._lengths = setup.body.segment_lengths
-        large = View(setup.farthest, _OVERSAMPLING * min(size))
+        self._setup, self._episode = setup, episode
+        self._lengths = episode.body.segment_lengths
+        large = View(setup.limits.farthest, _OVERSAMPLING * min(size))
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
         self._paint_scenery()
         self._scenery = self._canvas.surface.copy()
@@ -215,7 +219,7 @@ class Renderer:
 
     def _paint_scenery(self) -> None:
         """Paint what is the same in every frame."""
-        canvas, body, view = self._canvas, self._setup.body, self._canvas.view
+        canvas, body, view = self._canvas, self._episode.body, self._canvas.view
         canvas.surface.fill(BACKGROUND)
         inner, outer = reachable_radii(self._lengths)
         for radius, color in ((outer, REACHABLE), (inner, BACKGROUND)):
@@ -297,7 +301,7 @@ class Renderer:
 
     def _paint_changes(self, scene: Scene, nodes: Sequence[Point]) -> None:
         """Paint former lengths, a mass at the hand, an internal model's arm, and locks."""
-        canvas, setup, body = self._canvas, self._setup, self._setup.body
+        canvas, setup, body = self._canvas, self._setup, self._episode.body
         old_lengths = setup.unperturbed.segment_lengths
         changes = zip(nodes, scene.segment_angles, self._lengths, old_lengths, strict=False)
         for start, angle, length, old in changes:
@@ -320,7 +324,7 @@ class Renderer:
             for node in ghost[1:]:
                 canvas.disc(GHOST, node, 5.5)
                 canvas.disc(REACHABLE, node, 3)
-        is_locked = setup.lock_step is not None and scene.steps >= setup.lock_step
+        is_locked = 0 <= self._episode.lock_step <= scene.steps
         for joint in body.lockable_joints if is_locked else ():
             canvas.square(REACHABLE, nodes[joint], 18, math.pi / 4)
             canvas.square(OUTLINE, nodes[joint], 15, math.pi / 4)
@@ -342,9 +346,8 @@ class Renderer:
     def _paint_target(self, scene: Scene, hand: Point) -> None:
         """Paint cursor and target: a ring of the success radius, and a second when reached."""
         canvas, setup, (x, y) = self._canvas, self._setup, scene.target
-        seen = setup.disturbance(scene.steps).cursor
-        cursor = hand if seen is None else seen.cursor(*hand, (x, y))
-        if seen is not None:
+        cursor = hand if scene.cursor is None else scene.cursor.at(*hand, (x, y))
+        if scene.cursor is not None:
             canvas.line(CURSOR, (hand, cursor), 1.8)
             canvas.hollow_diamond(CURSOR, cursor, 9.5)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance

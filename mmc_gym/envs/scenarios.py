@@ -18,10 +18,10 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, require, require_arguments, require_whole, shown
+from mmc_gym.envs.changes import Change, Family
 from mmc_gym.envs.names import (
     BASELINE,
     TASKS,
-    Change,
     TaskEntry,
     environment_id,
     parse_parts,
@@ -68,13 +68,12 @@ class Scenario:
             return ""
         *before, last = self._named
         assert isinstance(last, Change)
-        own = last.family.name if last.family else last.name
-        return "+".join((*(one.name for one in before), own))
+        return "+".join((*(part.name for part in before), last.family.name))
 
     @property
     def strength(self) -> float | None:
         """The strength of the last perturbation, comparable within the family; None without one."""
-        return self.changes[-1].strength if self.changes else None
+        return self.changes[-1].number if self.changes else None
 
     @property
     def unit(self) -> str:
@@ -86,8 +85,8 @@ class Scenario:
         """The definition of the scenario for JSON; equal for equal scenarios."""
         suffix = self.changes[-1].suffix if self.changes else ""
         task = {} if self.task.is_shipped else {"task": self.task.task}
-        changes = [(c.perturbation, c.range) if c.range else c.perturbation for c in self.changes]
-        arguments = {**task, **({"perturbations": changes} if changes else {}), **self.arguments}
+        changes = {"perturbations": self.changes} if self.changes else {}
+        arguments = {**task, **changes, **self.arguments}
         return {
             "id": environment_id(self.task.name if self.task.is_shipped else BASELINE),
             "kwargs": as_json(arguments),
@@ -388,7 +387,7 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
     """
     from mmc_gym._identity import identity, is_own
 
-    def code(kind: type) -> dict[str, str]:
+    def code(kind: Any) -> dict[str, str]:
         return {"code": identity(kind)} if is_own(kind.__module__) else {}
 
     def declared(value: Any) -> dict[str, Any]:
@@ -402,6 +401,8 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
         if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
             kind = type(value.dist)
             return {"name": value.dist.name, "args": value.args, **value.kwds, **code(kind)}
+        if isinstance(value, Family):
+            return {"name": value.name, **code(value.apply)}
         if callable(value):
             return {"name": name_of(value), "code": identity(value)}
         return {"name": type(value).__name__, **declared(value), **code(type(value))}

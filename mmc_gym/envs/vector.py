@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
@@ -24,19 +25,14 @@ from mmc_gym._errors import (
 )
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
-from mmc_gym.body.parameters import joints_that_lock, stacked
+from mmc_gym.body.parameters import joints_that_lock
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
-from mmc_gym.envs.drawn import of_many, of_some, write
-from mmc_gym.envs.reach import GoalEnvironment, HandSight, Info, reward_and_info, with_context
-from mmc_gym.envs.spec import (
-    Disturbance,
-    Episodes,
-    GoalSetup,
-    Options,
-    ReachEnvironment,
-    ReachSetup,
-    State,
-)
+from mmc_gym.envs.arms import Arms
+from mmc_gym.envs.cursor import Cursor
+from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info, with_context
+from mmc_gym.envs.senses import Disturbance, HandSight, Late, Noise, put
+from mmc_gym.envs.setup import GoalSetup, ReachEnvironment, ReachSetup, State
+from mmc_gym.envs.trials import Options
 from mmc_gym.envs.workspace import (
     MOST_TARGETS,
     distances,
@@ -86,7 +82,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _make(self, kind: type[ReachSetup], arguments: VectorArguments) -> None:
         self._arguments, self._kind = arguments, kind
-        self.setup = self._of_all = setup = kind(arguments)
+        self.setup = self._next_setup = setup = kind(arguments)
         steps = arguments.max_episode_steps
         self.max_episode_steps = setup.task.episode_steps if steps == "task" else steps
         self.num_envs = num_envs = arguments.num_envs
@@ -96,52 +92,44 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.single_observation_space = space = setup.observation_space
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
-        body, servo, others = setup.body, setup.action.servo, setup.others
-        self._may_lock = joints_that_lock(others)
-        self._body = make_arms(setup.engine, body, num_envs, servo, arguments.threads, others)
-        self._draws = setup.draws
-        first = np.zeros((1, 0)) if setup.draws is None else setup.draws.samples()[:1]
+        servo, bodies, threads = setup.action.servo, setup.limits.bodies, arguments.threads
+        others = bodies if len(bodies) > 1 else ()
+        self._may_lock = joints_that_lock(bodies)
+        self._body = make_arms(setup.engine, setup.first.body, num_envs, servo, threads, others)
+        first = setup.first.numbers[None]
         self._numbers = np.tile(first, (num_envs, 1))
         self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
         self._context: dict[str, Any] = {}  # of all arms, if it is known
-        self._parts = [of_many(one, num_envs) for one in setup.parts] if setup.draws else []
-        self._disturbance: Disturbance | None = None  # of all arms, if it is known
-        self._lock_steps = np.full(num_envs, setup.lock_steps)  # -1: never
+        #: of all arms, at the present time
+        self._arms = setup.first.arms.rows(np.zeros(num_envs, dtype=np.intp))
+        self._disturbance = Disturbance.of(self._arms, setup.episodes.touched)
+        self._lock_steps = np.full(num_envs, setup.first.lock_step)  # -1: never
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
         generators = [seeding.np_random() for _ in range(num_envs)]
         self._randoms, self._seeds = map(list, zip(*generators, strict=True))
-        self._paths = np.zeros((num_envs, setup.path_length, 2))
+        self._paths = np.zeros((num_envs, setup.trials.path_length, 2))
         self._steps, self._places, self._last_places = np.zeros((3, num_envs), dtype=np.intp)
         self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
-        # Observations on their way, oldest first: that one is shown.
-        self._newest = 0  # place of the newest observation in `_line`, which holds those of `_late`
-        self._late: list[Any] = [create_empty_array(setup.plain_space, num_envs)]
-        # Hands and targets on their way, likewise, (delay of sight + 1, n, 2, 2).
-        self._sights = np.zeros((1, num_envs, 2, 2))
-        self._hand_sight = HandSight(num_envs, setup.unperturbed.control_step)
+        plain = create_empty_array(setup.plain_space, num_envs)
+        self._late = Late(plain, setup.limits.delay)  # observations on their way
+        #: hands and targets on their way, (n, 2, 2)
+        self._sights = Late(np.zeros((num_envs, 2, 2)), setup.limits.vision_delay)
+        self._noise = Noise(num_envs, setup.joint_count, setup.episodes.touched)
+        self._hand_sight = HandSight(num_envs, setup.control_step)
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
 
             self._compiled = CompiledStep(setup, cast("AnalyticArmBatch", self._body))
-        self._make_room()
-
-    def _make_room(self) -> None:
-        """Make room for delays that the setup allows, and see whether a step can be fused."""
-        setup = self.setup
-        self._delay_by(self._late, setup.delay)
-        more = setup.vision_delay + 1 - len(self._sights)
-        self._sights = np.concatenate([self._sights[:1]] * max(more, 0) + [self._sights])
         # Whether a thread may take its arms through a whole step without waiting for the others.
         self._is_fused = (
             self._compiled is not None
             and setup.task.advance == "time"
-            and setup.cursor is None
-            and not setup.vision_delay
-            and not setup.full.feedback
+            and not setup.has_cursor
+            and not setup.is_sight_disturbed
             and not setup.is_timed
         )
 
@@ -171,18 +159,18 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if checked.context is not None:
             checked.context[~mask] = np.nan
             beyond = self.setup.episodes_beyond(checked.context, [one for one, _ in generators])
+            names = [strength.name for strength in self.setup.episodes.strengths]
             accepted = "such that this vector's arms can have it: make one with wider ranges"
             for arm, episode in beyond.items():
                 name = f"options['context'] for arm {arm}"
                 can_become = self._body.can_become(arm, episode.body)
-                require(can_become, name, episode.perturbations, accepted)
-            self.setup.make_room(beyond.values())
-            self._make_room()
+                require(can_become, name, dict(zip(names, episode.numbers)), accepted)
+                self._make_room(episode.disturbance.delay, episode.disturbance.vision_delay)
         self._randoms, self._seeds = map(list, zip(*generators, strict=True))
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
         observation, _, info = self._look_at(arms)
-        self._show_start(arms, observation)
+        self._late.fill(arms, observation)
         return self._shown(), spread(info, mask)
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, Floats, Bools, Bools, Info]:
@@ -207,20 +195,20 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             observation, rewards, info = self._move_and_look(values)
         else:
             self._move(values)
-            if self.setup.loads:
-                loaded = np.flatnonzero(self.setup.is_loaded_after(self._steps))
-                self._load(loaded, self._steps[loaded])
+            if self.setup.is_timed:
+                changed = self.setup.episodes.changed_in(self._numbers, self._steps)
+                self._change(np.flatnonzero(changed))
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
-            if self.setup.vision_delay:
-                self._sights = np.concatenate([self._sights[1:], self._sight(_EVERY)[None]])
+            if self.setup.may_see_late:
+                self._sights.send(self._sight(_EVERY))
             observation, rewards, info = self._look()
-        if self.setup.steps_lock:
+        if self.setup.limits.may_lock_in_flight:
             self._body.lock(np.flatnonzero((self._steps == self._lock_steps) & (self._steps > 0)))
-        self._send(observation)
+        self._late.send(observation)
         if len(waiting):
-            self._show_start(waiting, pick(observation, waiting))
+            self._late.fill(waiting, pick(observation, waiting))
             rewards[waiting] = 0.0
         terminations = self.setup.terminates & info["is_success"]
         terminations[waiting] = False
@@ -235,20 +223,25 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     @override
     def _take(self, setup: ReachSetup) -> None:
-        draws, accepted = self.setup.draws, "the same perturbations with other distributions"
-        is_like = bool(draws and setup.draws and draws.is_like(setup.draws))
-        is_like = is_like and setup.arms_differ == self.setup.arms_differ
-        require(is_like, "perturbations", setup.perturbations, accepted)
+        is_like = self.setup.episodes.is_like(setup.episodes) and setup.episodes.is_drawn
+        names = [change.name for change in setup.episodes.changes]
+        accepted = "the same perturbations with other distributions"
+        require(is_like, "perturbations", names, accepted)
         accepted = f"such that only joints lock that could lock before: {sorted(self._may_lock)}"
-        may_lock = joints_that_lock(setup.others) <= self._may_lock
-        require(may_lock, "perturbations", setup.perturbations, accepted)
+        may_lock = joints_that_lock(setup.limits.bodies) <= self._may_lock
+        require(may_lock, "perturbations", names, accepted)
         accepted = "bodies that the arms of this vector can have: make one with wider ranges"
-        can_become = all(self._body.can_become(0, body) for body in setup.others)
-        require(can_become, "perturbations", setup.perturbations, accepted)
-        self.setup, self._draws = setup, setup.draws
+        can_become = all(self._body.can_become(0, body) for body in setup.limits.bodies)
+        require(can_become or not setup.bodies_differ, "perturbations", names, accepted)
+        self.setup = setup
         self.single_observation_space = setup.observation_space
         self.observation_space = batch_space(setup.observation_space, self.num_envs)
-        self._make_room()
+        self._make_room(setup.limits.delay, setup.limits.vision_delay)
+
+    def _make_room(self, delay: int, vision_delay: int) -> None:
+        """Make room for delays of the senses and of sight, control steps."""
+        self._late.grow(delay)
+        self._sights.grow(vision_delay)
 
     @property
     def arms(self) -> ArmBatch:
@@ -301,82 +294,99 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw perturbations and a trial for each of these arms, and put it at its start."""
         setup, randoms = self.setup, [self._randoms[arm] for arm in arms.tolist()]
-        is_alone = np.full(len(arms), options.has_trial or not setup.draws_pairs)
-        count, more = self._numbers.shape[1], setup.joint_count + 2  # numbers of a trial
-        together = not is_alone.any() and not (setup.draws and setup.draws.may_be_alone)
-        uniform = uniform_numbers(randoms, count + more * together)
-        if setup.draws is not None:
-            numbers = setup.draws.numbers(uniform[:, :count])
-            if options.context is not None:
-                context = options.context[arms]
-                numbers = np.where(np.isnan(context), numbers, context)
-            self._numbers[arms], self._context_shown[arms] = numbers, setup.context_of(numbers)
-            self._context = {}
-            is_alone |= setup.draws.are_alone(numbers)
+        episodes, more = setup.episodes, setup.joint_count + 2  # numbers of a trial
+        is_together = setup.limits.have_rings and setup.trials.are_random and not options.has_trial
+        count = len(episodes.strengths)
+        uniform = uniform_numbers(randoms, count + more * is_together)
+        numbers = episodes.numbers(uniform[:, :count])
+        if options.context is not None:
+            context = options.context[arms]
+            numbers = np.where(np.isnan(context), numbers, context)
+        self._numbers[arms], self._context = numbers, {}
+        drawn = setup.first.arms.rows(0 * arms)
+        if episodes.is_drawn:
+            self._context_shown[arms], drawn = setup.context_of(numbers), episodes.arms(numbers)
+        self._lock_steps[arms] = setup.lock_steps(drawn)
+        if (noise := Disturbance.of(drawn, episodes.touched).noise) is not None:
+            self._noise.begin(arms, noise)
+        is_alone = np.full(len(arms), not is_together) | drawn.obstacles.astype(bool)
         if len(rows := np.flatnonzero(~is_alone)):
             some = [randoms[row] for row in rows]
-            own = uniform[:, count:] if together else uniform_numbers(some, more)
-            is_alone[rows] = ~self._place_many(arms[rows], some, own)
+            trials = uniform[rows, count:]
+            is_alone[rows] = ~self._place_many(arms[rows], some, trials, drawn.rows(rows))
+        if is_together:
+            for row in np.flatnonzero(is_alone):
+                randoms[row].bit_generator.advance(-more)
         if len(rows := np.flatnonzero(is_alone)):
             self._place_each(arms[rows], [randoms[row] for row in rows], options)
-        self._load(arms, np.zeros_like(arms))
-        self._body.lock(arms[self._lock_steps[arms] == 0])
+        self._arms.write(arms, drawn)
         self._steps[arms] = self._places[arms] = 0
+        if setup.is_timed:
+            self._change(arms)
+        elif episodes.is_drawn:
+            self._disturbance = Disturbance.of(self._arms, episodes.touched)
+        self._body.lock(arms[self._lock_steps[arms] == 0])
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
         if self.setup.channel is not None:
             self._body.confine(arms, self._body.end_effectors[arms], self._targets[arms])
-        if self.setup.vision_delay:
-            self._sights[:, arms] = self._sight(arms)
+        if self.setup.may_see_late:
+            self._sights.fill(arms, self._sight(arms))
 
-    def _place_many(self, arms: Indices, randoms: Randoms, uniform: Floats) -> Bools:
+    def _place_many(self, arms: Indices, randoms: Randoms, uniform: Floats, drawn: Arms) -> Bools:
         """Draw a trial for each of these arms, all at once.
 
         The first numbers of their generators are `uniform`, (k, N + 2).  Return which have found a
-        target; the generators of the others are as before.
+        target; the generators of the others are as before, but for these first numbers.
         """
-        drawn, count = self.setup.episodes(self._numbers[arms]), self.setup.joint_count
-        if self.setup.draws is not None:
-            self._begin(arms, drawn)
-        lengths = stacked((drawn.body or self.setup.body).segment_lengths)
-        postures, places = places_from(uniform[:, :count], drawn.ring, lengths, drawn.locked)
+        setup, count = self.setup, self.setup.joint_count
+        locked = drawn.lockable & (self._lock_steps[arms] == 0)[:, None]
+        postures, places = places_from(
+            uniform[:, :count], drawn.ring, drawn.segment_lengths, locked if locked.any() else None
+        )
+        cursor = Cursor.of(drawn, setup.episodes.touched) if setup.has_cursor else None
         left, numbers = np.arange(len(arms)), uniform[:, count:]
         for tried in range(1, MOST_TARGETS + 1):
-            cursor = drawn.cursor and of_some(drawn.cursor, left)
-            self._paths[arms[left], 0], fine = targets_from(numbers, places[left], cursor)
-            left = left[~fine]
+            some = None if cursor is None else cursor.rows(left)
+            self._paths[arms[left], 0], is_reached = targets_from(numbers, places[left], some)
+            left = left[~is_reached]
             if not len(left) or tried == MOST_TARGETS:
                 break
             numbers = uniform_numbers([randoms[row] for row in left], 2)
         for row in left:
-            randoms[row].bit_generator.advance(-count - 2 * MOST_TARGETS)  # type: ignore[attr-defined]
+            randoms[row].bit_generator.advance(2 - 2 * MOST_TARGETS)  # type: ignore[attr-defined]
         self._last_places[arms] = 0
-        self._body.reset(postures, arms, parameters=drawn.body)
+        body = drawn.columns(setup.episodes.touched) if setup.bodies_differ else None
+        self._body.reset(postures, arms, parameters=body)
         is_found = np.ones(len(arms), dtype=bool)
         is_found[left] = False
         return is_found
 
     def _place_each(self, arms: Indices, randoms: Randoms, options: Options) -> None:
         """Draw a trial for each of these arms, one by one."""
-        setups, bodies = [self.setup] * len(arms), None
-        if self.setup.draws is not None:
-            setups = [self.setup.episode(row) for row in self._numbers[arms]]
-            bodies = [one.body for one in setups] if self.setup.arms_differ else None
-            for row, one in enumerate(setups):
-                self._begin(arms[[row]], one)
-        pairs = zip(setups, randoms, strict=True)
-        trials = [one.draw_trial(random, options) for one, random in pairs]
+        setup = self.setup
+        episodes = [setup.first] * len(arms)
+        if setup.episodes.is_drawn:
+            episodes = [setup.episode(numbers) for numbers in self._numbers[arms]]
+        trials = [
+            setup.trials.draw(episode.workspace, random, options)
+            for episode, random in zip(episodes, randoms, strict=True)
+        ]
         for arm, trial in zip(arms, trials, strict=True):
             self._paths[arm, : len(trial.targets)] = trial.targets
             self._last_places[arm] = len(trial.targets) - 1
-        self._body.reset([one.joint_angles for one in trials], arms, parameters=bodies)
+        bodies = [episode.body for episode in episodes] if setup.bodies_differ else None
+        self._body.reset([trial.joint_angles for trial in trials], arms, parameters=bodies)
 
-    def _begin(self, arms: Indices, drawn: Episodes | ReachSetup) -> None:
-        """Store the lock times and disturbances that these arms drew, for the steps to come."""
-        self._disturbance = None
-        self._lock_steps[arms] = drawn.lock_steps
-        for many, new in zip(self._parts, drawn.parts, strict=True):
-            write(many, arms, new)
+    def _change(self, arms: Indices) -> None:
+        """Let the perturbations of these arms be what they are at their present steps."""
+        if not len(arms):
+            return
+        episodes = self.setup.episodes
+        self._arms.write(arms, now := episodes.arms(self._numbers[arms], self._steps[arms]))
+        self._disturbance = Disturbance.of(self._arms, episodes.touched)
+        if self.setup.is_loaded:
+            self._body.load(now.columns(episodes.touched), arms)
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
@@ -388,15 +398,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._body.command(commands + self._body.joint_angles if is_relative else commands)
         self._body.step()
 
-    def _load(self, arms: Indices, steps: Indices) -> None:
-        """Give these arms the load and the force field that they have after so many steps."""
-        if self.setup.loads and len(arms):
-            self._body.load(self.setup.body_after(steps), arms)
-
     def _move_targets(self) -> None:
         """Move the targets to where they are after this step."""
         setup, last = self.setup, self._last_places
-        if setup.path_length == 1:
+        if setup.trials.path_length == 1:
             return
         if setup.task.advance == "reach":
             hands = self._seen_hands(_EVERY)
@@ -419,7 +424,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         final = spread({name: of_arms(infos[name], arms) for name in names}, over)
         self._place(arms, Options())
         observation, _, info = self._look_at(arms)
-        self._show_start(arms, observation)
+        self._late.fill(arms, observation)
         for name, values in info.items():
             put(infos[name], arms, values)
         ends = {"final_obs": final_observations, "final_info": final}
@@ -445,7 +450,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._targets,
             self._is_at_last_target(_EVERY),
             self._speeds,
-            self._late[0],  # was shown in the last step
+            self._late.oldest,
         )
 
     def _with_senses(self, state: State, rewards: Floats, info: Info) -> Looked:
@@ -475,40 +480,29 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
         """Return what these arms observe, noise and late sight included; complete `info`."""
-        if self._draws is not None:
-            self._context = self._context or self._draws.context(self._numbers)
-            info["context"] = {name: one[arms].copy() for name, one in self._context.items()}
-        if self.setup.cursor is not None:
+        setup = self.setup
+        if setup.episodes.is_drawn:
+            self._context = self._context or self.context
+            info["context"] = {name: column[arms].copy() for name, column in self._context.items()}
+        if setup.has_cursor:
             info["cursor"] = hands
-        if self.setup.channel is not None:
+        if setup.channel is not None:
             info["channel_force"], speeds = self._body.contacts[arms].T.copy()
-            info["ideal_force"] = self.setup.channel * speeds
-        if not self.setup.is_sight_disturbed:
+            info["ideal_force"] = setup.channel * speeds
+        if not setup.is_sight_disturbed:
             return observation
-        targets = self._targets[arms]
-        if self.setup.vision_delay:
-            late = self._now(arms).vision_delay
-            hands, targets = self._sights[-1 - late, self._all[arms]].swapaxes(0, 1)
+        targets, rows, now = self._targets[arms], self._all[arms], self._disturbance
+        if setup.may_see_late:
+            hands, targets = self._sights.arrived(now.vision_delay)[arms].swapaxes(0, 1)
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
-        true = Seen(angles, targets, velocities, hands)
-        randoms = self._randoms
-        if arms is not _EVERY:
-            randoms = [randoms[arm] for arm in self._all[arms].tolist()]
-        now, of_all = self._now(arms), self._all[arms]
-        if not now.feedback:
-            return self.setup.observe(true, now.noises, randoms)
-        true_hands, steps, sight = (
-            self._body.end_effectors[arms],
-            self._steps[arms],
-            self._hand_sight,
-        )
-
-        def look(seen: Floats) -> Floats:
-            return sight.look(of_all, steps, true_hands, seen, now.feedback)
-
-        observation = self.setup.observe(true, now.noises, randoms, look)
-        info["is_hand_seen"] = sight.is_seen[of_all]
-        return observation
+        seen, steps = Seen(angles, targets, velocities, hands), self._steps[arms]
+        if now.noise is not None:
+            seen = self._noise.disturb(seen, now.noise[arms], rows, steps, self._randoms)
+        if now.hidden is not None:
+            true_hands, sight = self._body.end_effectors[arms], self._hand_sight
+            hands = sight.look(rows, steps, true_hands, seen.hand, now.hidden[arms])
+            seen, info["is_hand_seen"] = replace(seen, hand=hands), sight.is_seen[rows]
+        return setup.observe(seen)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Return which arms have their last target; only reaching that one is a success."""
@@ -519,7 +513,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _shown(self) -> Any:
         """Return the observations that `step` and `reset` return."""
         arrived = self._arrived()
-        is_kept = self._copy and arrived is self._late[0]
+        is_kept = self._copy and not self._late.is_late
         return self._with_context(deepcopy(arrived) if is_kept else arrived)
 
     def _with_context(self, observation: Any) -> Any:
@@ -528,58 +522,20 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _arrived(self) -> Any:
         """Return the observations that have arrived: the newest, or that of `delay` steps ago."""
-        late = self._now(_EVERY).delay
-        if not isinstance(late, np.ndarray) or len(self._late) == 1:
-            return self._late[0]
-        slots, arms, _ = self._line.shape
-        rows = (self._newest - late) % slots * arms + self._all
-        return self._line.reshape(slots * arms, -1).take(rows, axis=0)
+        return self._late.arrived(self._disturbance.delay)
 
     def _seen_hands(self, arms: Indices | slice) -> Floats:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
-        cursor = self._now(arms).cursor
+        cursor = self._disturbance.cursor
         if cursor is None:
             return hands
         (x, y), targets = hands.T, self._targets[arms].T
-        return np.stack(cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
-
-    def _now(self, arms: Indices | slice) -> Disturbance:
-        """Return the present disturbance of the senses of these arms."""
-        setup, parts = self.setup, self._parts
-        if not parts:
-            return setup.disturbance(self._steps[arms]) if setup.is_timed else setup.full
-        if arms is not _EVERY:
-            parts = [of_some(one, arms) for one in parts]
-        elif not setup.is_timed:  # it stays until other parts are written
-            self._disturbance = self._disturbance or setup.disturbance(self._steps, parts)
-            return self._disturbance
-        return setup.disturbance(self._steps[arms], parts)
-
-    def _delay_by(self, late: list[Any], steps: int) -> None:
-        """Make room for at least `steps` of delay; the oldest observation fills the new places."""
-        self._late = [late[0]] * (steps + 1 - len(late)) + late
-        if len(self._late) > 1:  # of a goal environment, whose observations are dicts, there is one
-            self._line, self._newest = np.stack(self._late), len(self._late) - 1
-            self._late = [*self._line]
-
-    def _send(self, observation: Any) -> None:
-        """Send an observation on its way, and drop the oldest."""
-        oldest = self._late.pop(0)
-        if self._late and observation is not oldest:
-            oldest[...] = observation
-            observation = oldest
-        self._late.append(observation)
-        self._newest = (self._newest + 1) % len(self._late)
+        return np.stack(cursor.rows(arms).at(x, y, (targets[0], targets[1])), axis=-1)
 
     def _sight(self, arms: Indices | slice) -> Floats:
         """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""
         return np.stack([self._seen_hands(arms), self._targets[arms]], axis=1)
-
-    def _show_start(self, arms: Indices, observation: Any) -> None:
-        """Show these arms their first observation until the delay of the senses is over."""
-        for late in self._late:
-            put(late, arms, observation)
 
     def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
         """Return the actions, (n, N), float32 or float64, with 0 for the waiting arms."""
@@ -614,15 +570,6 @@ def pick(observation: Any, arms: Any) -> Any:
     if isinstance(observation, dict):
         return {key: values[arms] for key, values in observation.items()}
     return observation[arms]
-
-
-def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
-    """Write the rows of `arms` into an observation, an array or a dict of arrays."""
-    if isinstance(observation, dict):
-        for key in rows:
-            observation[key][arms] = rows[key]
-    else:
-        observation[arms] = rows
 
 
 def of_arms(values: Any, arms: Indices) -> Any:

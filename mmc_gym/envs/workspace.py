@@ -31,15 +31,13 @@ class NoTarget(UserError):
 
 
 class ShownHand(Protocol):
-    """A cursor that stands for the hand, see `mmc_gym.envs.perturbations.Cursor`."""
-
-    centre: Point | None
+    """A cursor that stands for the hand, see `mmc_gym.envs.cursor.Cursor`."""
 
     @property
-    def keeps_distance(self) -> bool:
-        """Whether the cursor is as far from the centre as the hand."""
+    def turns_about_base(self) -> bool:
+        """Whether it is as far from the base as the hand."""
 
-    def cursor(self, x: Any, y: Any, target: tuple[Any, Any]) -> tuple[Any, Any]:
+    def at(self, x: Any, y: Any, target: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return where the cursor is for a hand at (x, y)."""
 
     def hand(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -139,7 +137,7 @@ class Workspace:
         for _ in range(MOST_TARGETS):
             target = hand = self._draw_hand(random, posture)
             if self.cursor is not None:
-                target = self.cursor.cursor(*hand, hand)
+                target = self.cursor.at(*hand, hand)
             if self.contains(target, posture if self._at_all_times else None):
                 return target
         raise self._no_target()
@@ -156,9 +154,8 @@ class Workspace:
     @property
     def is_ring(self) -> bool:
         """Whether all postures are possible, and hands are drawn between two radii."""
-        body, cursor = self.body, self.cursor
-        is_turn = cursor is not None and cursor.centre == (0.0, 0.0) and cursor.keeps_distance
-        is_free = self._at_all_times is None or (is_turn and not self.locked)
+        body, cursors = self.body, self._at_all_times
+        is_free = cursors is None or (cursors.turns_about_base and not self.locked)
         return is_free and not body.joint_limits and not body.obstacles
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
@@ -268,7 +265,7 @@ def targets_from(
     fine, slack = np.ones(len(places), dtype=bool), REACH_TOLERANCE * outer
     if cursor is not None:
         x, y = hands
-        targets = cursor.cursor(x, y, (x, y))
+        targets = cursor.at(x, y, (x, y))
         hands = cursor.hand(*targets)
     for x, y in (targets, hands) if cursor is not None or base.any() else ():
         # Not numpy's root, which may differ in the last bit.

@@ -238,8 +238,8 @@ def learning_of(of: Movements) -> Learning:
     if in_channel.any():
         shares = np.broadcast_to(of.channel_shares if is_field else math.nan, angles.shape)
         shares = shares - _baseline(shares, angles, before)
-        parts = [[c.perturbation for c in one.condition.perturbations] for one in schedule]
-        curls = [sum(c.curl for c in some if isinstance(c, Channel)) for some in parts]
+        parts = [one.condition.perturbations for one in schedule]
+        curls = [sum(c.number or 0.0 for c in some if has([c], Channel)) for some in parts]
         adaptation = np.where(in_channel, shares * (np.sign(curls) * sign), adaptation)
     errors, perturbations = (np.where(errorless, 0.0, one) for one in (errors, perturbations))
     order = np.tile(np.arange(len(schedule)), (len(angles), 1))

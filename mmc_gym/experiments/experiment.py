@@ -38,18 +38,21 @@ from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
-from mmc_gym.envs.names import Change, TaskEntry, parse_change
+from mmc_gym.envs.changes import Change, Family
+from mmc_gym.envs.names import TaskEntry, parse_change
 from mmc_gym.envs.perturbations import (
     Channel,
-    Cursor,
     CursorJump,
-    Delay,
+    EndpointFeedback,
     ErrorClamp,
-    Feedback,
     ForceField,
+    JointNoise,
+    JointNoiseSpeed,
     NoFeedback,
-    Noise,
-    Perturbation,
+    VisionNoise,
+    VisionNoiseDistance,
+    delay,
+    vision_delay,
 )
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.tasks import CuedTarget, outward
@@ -68,16 +71,15 @@ TRIALS_MOST = 100_000
 def _named(value: object) -> Change:
     """Return a perturbation that has a name, by which files hold it."""
     change = value if isinstance(value, Change) else parse_change(value)
-    require(change.family is not None, "perturbations", change.name, "registered under a name")
+    require(change.is_named, "perturbations", change.name, "one that has a name")
     return change
 
 
 def _measured(changes: tuple[Change, ...]) -> tuple[Change, ...]:
     """Refuse a perturbation that has no measure of learning, unless it disturbs the senses."""
     for change in changes:
-        one = change.perturbation
-        turns = isinstance(one, Cursor) and change.unit == "°"
-        if not (turns or isinstance(one, ForceField | CursorJump) or _is_of_senses(change)):
+        is_learned = change.unit == "°" or change.family in (ForceField, CursorJump)
+        if not (is_learned or _is_of_senses(change)):
             raise UserError(
                 "must be rotation, clamp, force-field or cursor-jump, which have a measure of "
                 "learning, or noise, delay, feedback or channel; "
@@ -109,6 +111,8 @@ Kind: TypeAlias = Literal["plain", ProbeKind]
 MARKS = {"catch": "x", "channel": "+", "hidden": "|"}
 """Markers of such probes in figures."""
 
+_NOISE = (JointNoise, JointNoiseSpeed, VisionNoise, VisionNoiseDistance)
+_OF_SENSES = (*_NOISE, delay, vision_delay, NoFeedback, EndpointFeedback, Channel)
 EIGHT = tuple(45.0 * k for k in range(8))
 _STRICT = ConfigDict(extra="forbid")
 
@@ -129,9 +133,9 @@ def _explained(cls: Class) -> Class:
     return cls
 
 
-def has(changes: Sequence[Change], kind: type[Perturbation]) -> bool:
-    """Return whether one of the perturbations is of a class."""
-    return any(isinstance(one.perturbation, kind) for one in changes)
+def has(changes: Sequence[Change], family: Family) -> bool:
+    """Return whether one of the perturbations is of a family, from the start of a trial on."""
+    return any(change.family is family and not change.is_timed for change in changes)
 
 
 def _without_error(changes: Sequence[Change]) -> Literal["clamp", "channel", "hidden", ""]:
@@ -149,7 +153,7 @@ def _check_aim(of: Block | Probe, target_jump: float = 0.0) -> None:
 
 
 def _is_of_senses(change: Change) -> bool:
-    return isinstance(change.untimed, Noise | Delay | Feedback | Channel)
+    return change.family in _OF_SENSES
 
 
 @_explained
@@ -220,10 +224,10 @@ class Block:
         if not self.gradual:
             return self.perturbations
         return tuple(
-            one.with_strength((one.strength or 0.0) * (trial + 1) / self.trials)
-            if one.family is None or one.family.has_strength
-            else one
-            for one in self.perturbations
+            change.with_strength((change.number or 0.0) * (trial + 1) / self.trials)
+            if change.family.has_strength
+            else change
+            for change in self.perturbations
         )
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
@@ -301,7 +305,7 @@ class Experiment:
     def __post_init__(self) -> None:
         trials = sum(block.trials for block in self.blocks)
         require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
-        strong = (one for one in self._learned() if one.strength and not has([one], CursorJump))
+        strong = (one for one in self._learned() if one.number and not has([one], CursorJump))
         units = dict.fromkeys(one.unit for one in strong)
         accepted = "of one kind, either force fields or turns of the cursor"
         require(len(units) <= 1, "perturbations", [*units], accepted)
@@ -359,7 +363,7 @@ class Experiment:
                         block=index,
                         phase=block.name,
                         condition=Condition(changes, block.go_cue, jump),
-                        strength=next((one.strength or 0.0 for one in learned), 0.0),
+                        strength=next((change.number or 0.0 for change in learned), 0.0),
                         probe=probe.name if probe else "",
                         kind=probe.measured_as if probe else plain,
                         targets=(probe and probe.targets) or block.targets,

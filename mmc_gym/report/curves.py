@@ -32,7 +32,8 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.statistics import success_interval
-from mmc_gym.envs.names import BASELINE, FAMILIES
+from mmc_gym.envs.names import BASELINE
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.report.results import Results
 
 

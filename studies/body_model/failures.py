@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.progress import track
 
 from mmc_gym.benchmark.suite import find_scenarios
-from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.envs.setup import ReachSetup
 from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import node_positions, segments_from_joint_angles
 from mmc_gym.measures import Episode
@@ -56,9 +56,9 @@ class Arguments:
 def cause(episode: Episode, setup: ReachSetup) -> str:
     """Return the cause of a failed episode, one of `CAUSES`."""
     hands, targets = episode.seen_hands, episode.targets
-    if setup.lock_step:
-        locked = setup.body.lockable_joints
-        workspace = Workspace(setup.body, setup.given_body, locked, setup.cursor)
+    if (made := setup.first).lock_step > 0:
+        locked, cursor = made.body.lockable_joints, made.disturbance.cursor
+        workspace = Workspace(made.body, setup.given_body, locked, cursor)
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"
     rests = (targets == targets[-1]).all(axis=-1)
@@ -71,7 +71,7 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
 def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
     """Draw the arm every 0.1 s (later ones darker), target and obstacles; and distance by time."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
-    lengths = setup.body.segment_lengths
+    lengths = setup.first.body.segment_lengths
     nodes = node_positions(segments_from_joint_angles(episode.joint_angles, lengths))
     for step in range(0, len(nodes), 5):
         shade = 0.15 + 0.85 * step / len(nodes)
@@ -79,7 +79,7 @@ def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
     left.plot(*nodes[-1].T, "k.-", lw=2)
     left.plot(*episode.seen_hands.T, color="#d55e00", lw=1)
     left.add_patch(Circle(episode.targets[-1], episode.tolerance, fill=False, ec="#d55e00", lw=2))
-    for x, y, radius in setup.body.obstacles:
+    for x, y, radius in setup.first.body.obstacles:
         left.add_patch(Circle((x, y), radius, color="0.7"))
     reach = sum(lengths) * 1.05
     left.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", title=file.stem)

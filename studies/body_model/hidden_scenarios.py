@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from mmc_gym.envs.names import as_change, parse_task
+from mmc_gym.envs.names import as_changes, parse_task
 from mmc_gym.envs.perturbations import SegmentLength, VisuomotorRotation
 from mmc_gym.envs.scenarios import Scenario, parse_scenario
 from studies.body_model.known_body import KnownBody
@@ -45,7 +45,7 @@ LIMITS = {"joint_limits": ((-2.0, 2.0), (-2.5, 2.5), (-2.5, 2.5))}
 
 def changed(*perturbations: Any) -> Scenario:
     """Return random targets with perturbations that have no name, or that are named."""
-    return Scenario(parse_task("random"), tuple(map(as_change, perturbations)))
+    return Scenario(parse_task("random"), tuple(as_changes(perturbations)))
 
 
 def of_segments(count: int, name: str = "random") -> Scenario:
@@ -54,7 +54,7 @@ def of_segments(count: int, name: str = "random") -> Scenario:
 
 
 SCENARIOS = {
-    "rotation by 30° about (1, 1)": changed(VisuomotorRotation(30.0, (1.0, 1.0))),
+    "rotation by 30° about (1, 1)": changed(VisuomotorRotation(30.0, centre=(1.0, 1.0))),
     "first segment 30 % longer": changed(SegmentLength(1.3, 0)),
     "first longer, last shorter, 20 %": changed(SegmentLength(1.2, 0), SegmentLength(0.8, -1)),
     **{name: parse_scenario(name) for name in NAMES.split()},

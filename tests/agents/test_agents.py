@@ -18,7 +18,7 @@ from mmc_gym.agents import AGENTS, resolve
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
 from mmc_gym.agents.policy import shipped_file
-from mmc_gym.envs.names import FAMILIES
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.measures import run_episodes
 from mmc_gym.network import MMCNetwork

@@ -364,7 +364,7 @@ PERTURBATIONS = ("rotation-60", "shorter-50", "vision-noise-0.1", "delay-400", "
     [
         *({"perturbations": name} for name in PERTURBATIONS),
         {"perturbations": ["hand-mass", "joint-noise"]},
-        {"perturbations": [VisuomotorRotation(40.0, (0.5, 1.0)), "longer-20"]},
+        {"perturbations": [VisuomotorRotation(40.0, centre=(0.5, 1.0)), "longer-20"]},
         {"task": "double-step-200"},
         {"id": "MMCReachGoal-v0", "perturbations": "longer-20"},
         {"segment_lengths": (1.0,) * 10},

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium as gym
@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import mmc_gym
+from mmc_gym import perturbation
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.cli import main
-from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.names import FAMILIES
-from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs import register_task
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.envs.tasks import RandomTarget, Trial
 from mmc_gym.experiments.experiment import Block, Experiment
@@ -35,12 +35,8 @@ class Here(RandomTarget):
         return Trial(start, [(float(np.cos(angles).sum()), float(np.sin(angles).sum()))])
 
 
-@dataclass(frozen=True)
-class Heavy(Perturbation):
-    mass: float = 1.0
-
-    def change_body(self, body):
-        return replace(body, hand_mass=self.mass)
+def carry(arms, mass):
+    arms.hand_mass[:] = mass
 
 
 class Flat(gym.Wrapper):
@@ -60,9 +56,10 @@ gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
              kwargs={"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"})
 """
 HEAVY = """
-from mmc_gym.envs import Family, register_perturbation
-from mmc_gym.envs.perturbations import Gravity
-register_perturbation(Family("heavy", "length / s²", "{} length / s²", 2.0, Gravity))
+import mmc_gym
+@mmc_gym.perturbation("heavy", unit="length / s²", default=2.0)
+def heavy(arms, acceleration):
+    arms.gravity[:, 1] -= acceleration
 """
 
 
@@ -83,10 +80,12 @@ def test_an_own_task_has_a_name_an_id_and_a_scenario(tmp_path):
 
 
 def test_an_own_perturbation_takes_any_strength():
-    register_perturbation(Family("heavy", "segment masses", "{} masses at the hand", 2.0, Heavy))
-    heavy = gym.make("MMCReach-v0", perturbations=["heavy-7"]).unwrapped.setup
-    assert (heavy.body.hand_mass, heavy.given_body.hand_mass) == (7.0, 0.0)
-    assert mmc_gym.make("pursuit+heavy").unwrapped.setup.body.hand_mass == 2.0
+    texts = {"unit": "segment masses", "description": "{} masses at the hand"}
+    heavy = perturbation("heavy", **texts, default=2.0, neutral=0.0)(carry)
+    env = gym.make("MMCReach-v0", perturbations=["heavy-7"]).unwrapped
+    assert (env.episode.body.hand_mass, env.parameters.hand_mass) == (7.0, 0.0)
+    assert mmc_gym.make("pursuit+heavy").unwrapped.episode.body.hand_mass == 2.0
+    assert gym.make("MMCReach-v0", perturbations=heavy(3)).unwrapped.episode.body.hand_mass == 3.0
     assert parse_scenario("heavy-0.5").description == "0.5 masses at the hand"
 
 
@@ -95,16 +94,84 @@ def test_names_that_are_taken_or_none_are_refused(name):
     with pytest.raises(UserError, match="name must be words"):
         register_task(name, Here())
     with pytest.raises(UserError, match="name must be words"):
-        register_perturbation(Family(name, "", "", 1.0, Heavy))
+        perturbation(name)(carry)
+
+
+def test_an_own_perturbation_is_drawn_timed_native_and_shown():
+    @perturbation("heavy-middle", unit="times", default=2, neutral=1)
+    def heavy_middle(arms, factor):
+        arms.segment_masses[:, 1] *= factor
+
+    made = {"num_envs": 3, "perturbations": "heavy-middle-1..3", "observe_context": True}
+    sync = gym.make_vec("MMCReach-v0", vectorization_mode="sync", **made)
+    native = gym.make_vec("MMCReach-v0", **made)
+    for env in (sync, native):
+        env.reset(seed=0)
+    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3, 3)).astype(np.float32):
+        seen, known = sync.step(action), native.step(action)
+        np.testing.assert_array_equal(seen[0], known[0])
+    assert (np.abs(known[0][:, -1]) <= 1).all()
+    masses = native.unwrapped.setup.episodes.arms(native.unwrapped._numbers).segment_masses
+    np.testing.assert_array_equal(masses[:, 1], known[4]["context"]["heavy-middle"])
+    perturbation("pushed-hand", default=1.0, neutral=0.0)(push)
+    env = mmc_gym.make("pushed-hand-1-over-0.4").unwrapped
+    env.reset(seed=0)
+    for steps in range(1, 11):
+        env.step(np.zeros(3, np.float32))
+        (_, right), _ = env.setup.episodes.arms(env.episode.numbers[None], steps).force_field[0]
+        assert right == pytest.approx(steps / 20)
+
+
+def push(arms, curl):
+    arms.force_field[:, 0, 1] += curl
+
+
+def test_a_perturbation_that_changes_nothing_or_too_much_is_refused():
+    perturbation("idle")(lambda arms, strength: None)
+    with pytest.raises(UserError, match="idle-1 must be one that overwrites columns of the arms"):
+        mmc_gym.make("idle")
+    perturbation("swollen", neutral=0.0)(
+        lambda arms, mass: np.add(arms.segment_masses, mass[:, None], out=arms.segment_masses)
+    )
+    with pytest.raises(UserError, match="within an episode by hand_mass and force_field only"):
+        mmc_gym.make("swollen-at-1")
+    for wrong in (None, lambda arms: None, lambda arms, strength, more: None):
+        with pytest.raises(UserError, match=r"must be a function of \(arms, strength\)"):
+            perturbation("nothing")(wrong)
+
+
+def misspell(arms, strength):
+    arms.sevo_gain = strength
+
+
+def shrink(arms, strength):
+    arms.servo_gain = 6.0
+
+
+def mix(arms, strength):
+    arms.shift[:, 0] += strength[0]
+
+
+def misshape(arms, strength):
+    arms.segment_masses *= strength
 
 
 @pytest.mark.parametrize(
-    "make", [lambda mass: None, lambda: Heavy(), Perturbation, lambda mass: Perturbation()]
+    ("function", "message"),
+    [
+        (misspell, "the function of mine fails for an arm: AttributeError: .*sevo_gain"),
+        (shrink, r"column servo_gain must be an array of shape \(1,\), got 6.0"),
+        (
+            mix,
+            "changes each arm by its own strength alone, got .'shift'",
+        ),
+        (misshape, "changes each arm by its own strength alone, got .'segment_masses'"),
+    ],
 )
-def test_a_family_that_makes_no_perturbation_is_refused(make):
-    with pytest.raises(UserError, match=r"heavy|Perturbation"):
-        register_perturbation(Family("heavy", "", "", 1.0, make))
-    assert "heavy" not in FAMILIES
+def test_a_function_that_does_not_change_each_arm_is_refused_in_a_line(function, message):
+    perturbation("mine", neutral=1.0, default=3.0)(function)
+    with pytest.raises(UserError, match=message):
+        mmc_gym.make("mine-0..2", segment_lengths=(1.0,) * 3)
 
 
 def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):

@@ -12,14 +12,14 @@ from scipy import stats
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.envs.names import FAMILIES, parse_change
+from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import (
+    FAMILIES,
     HandMass,
     JointNoise,
     LockedJoint,
     OneOf,
     SegmentLength,
-    Timed,
     VisionNoise,
     VisuomotorRotation,
 )
@@ -34,6 +34,7 @@ RANGES = ["rotation--60..60-at-0.1-over-0.1"] + [
 ]
 MIXTURES = [
     ["longer--30..35", "hand-mass-0..3", "rotation--60..60", "delay-0..160", "joint-noise"],
+    ["longer--30..35", "force-field--20..20-at-0.04", "hand-mass-0..3-over-0.1"],
     ["gravity-0..60", "force-field--20..20", "locks-1..3", "vision-noise-0..0.05", "delay-0..8"],
     [OneOf("rotation--60..60", VisuomotorRotation(30.0), None, weights=(1, 2, 3)), "shorter-20"],
     [OneOf("locked-1..2", HandMass(uniform(0, 3)), None), VisuomotorRotation(norm(0, 20))],
@@ -41,7 +42,8 @@ MIXTURES = [
     [OneOf(JointNoise(uniform(0, 0.1)), VisionNoise(0.05), None), "vision-delay-0..80"],
     [SegmentLength(uniform(0.7, 0.6), segment=0), LockedJoint(randint(0, 3), uniform(0.1, 0.2))],
     [OneOf("no-feedback", "endpoint-feedback-at-0.1", None), "vision-delay-0..60"],
-    [Timed(VisuomotorRotation(uniform(-60, 120)), at=uniform(0, 0.2)), "clamp--30..30"],
+    [OneOf("obstacles-1..3", "longer-0..20", None), "force-field-0..40-at-0.04-over-0.04"],
+    [VisuomotorRotation(uniform(-60, 120), at=uniform(0, 0.2)), "clamp--30..30"],
 ]
 
 
@@ -74,7 +76,7 @@ def test_a_vector_of_drawn_arms_is_single_arms(env_id, perturbations, mode, engi
     mode = AutoresetMode(mode)
     made = {"perturbations": perturbations, "engine": engine, "max_episode_steps": 7}
     made |= {"num_envs": 3, "observe_context": True}
-    if engine == "analytic" and str(perturbations[0]).startswith("obstacles"):
+    if engine == "analytic" and "obstacles" in str(perturbations[0]):
         with pytest.raises(UserError, match="obstacles must be empty"):
             gym.make_vec(env_id, **made)
         return
@@ -123,13 +125,13 @@ def test_strengths_are_drawn_as_their_distributions():
     drawn = {
         "rotation": uniform(-60, 120),
         "hand-mass": uniform(0, 3),
-        "JointNoise.std": stats.beta(2, 5, scale=0.1),
-        "VisuomotorRotation.degrees": norm(5, 20),
+        "joint-noise": stats.beta(2, 5, scale=0.1),
+        "rotation#2": norm(5, 20),
     }
     whole = {"locks": np.ones(3), "choice": np.array([1, 2, 3])}
     given = ["rotation--60..60", "hand-mass-0..3", "locks-1..3"]
-    given += [JointNoise(drawn["JointNoise.std"])]
-    given += [VisuomotorRotation(drawn["VisuomotorRotation.degrees"])]
+    given += [JointNoise(drawn["joint-noise"])]
+    given += [VisuomotorRotation(drawn["rotation#2"])]
     given += [OneOf("delay-0..160", "delay-40", None, weights=(1, 2, 3))]
     envs = gym.make_vec("MMCReach-v0", num_envs=1500, engine="analytic", perturbations=given)
     context = envs.reset(seed=0)[1]["context"]
@@ -199,21 +201,25 @@ def test_arms_with_a_context_beyond_their_ranges_are_single_arms(name, engine):
 @pytest.mark.parametrize(
     ("name", "context", "message"),
     [
-        ("hand-mass-0..3", {"hand-mass": [0, -150]}, "hand_mass must be from 0"),
-        ("longer-0..20", {"longer": [0, -100]}, "factor must be positive"),
+        ("hand-mass-0..3", {"hand-mass": [0, -150]}, "strength of hand-mass must be at least 0"),
+        ("longer-0..20", {"longer": [0, -100]}, "strength of longer must be at least -99.9"),
         ("force-field-0..60", {"force-field": [0, 500]}, "force_field must be at most 160"),
-        ("gain-0.5..2", {"gain": [1, -3]}, "factor must be positive"),
-        ("joint-noise-0..0.05", {"joint-noise": [0, -1]}, "std must be from 0"),
+        ("gain-0.5..2", {"gain": [1, -3]}, "strength of gain must be at least 1e-09"),
+        ("joint-noise-0..0.05", {"joint-noise": [0, -1]}, "strength of joint-noise must be from 0"),
         ("gravity-0..60", {"gravity": [0, 1e12]}, "gravity must be at most 1e\\+09"),
         ("hand-mass-0..3", {"hand-mass": [0, 1e4]}, "must make an arm that substeps can hold"),
         ("locks-1..3", {"locks": [1, 4]}, "locks must be a whole number from 1 to 3, got 4"),
-        ("rotation-0..60", {"rotation": [0, np.inf]}, "degrees must be a finite number, got inf"),
+        ("rotation-0..60", {"rotation": [0, np.inf]}, "rotation must be a finite number, got inf"),
         (
             "longer-0..20+force-field-0..60",
             {"longer": [9, 500], "force-field": 150},
             "leave targets in reach",
         ),
-        (["rotation-0..60", OneOf("gain-1..2", None)], {"gain": -1, "choice": [1, 0]}, "factor"),
+        (
+            ["rotation-0..60", OneOf("gain-1..2", None)],
+            {"gain": -1, "choice": [1, 0]},
+            "gain must be",
+        ),
     ],
 )
 def test_a_vector_refuses_the_contexts_that_a_single_arm_refuses(name, context, message, engine):
@@ -387,14 +393,19 @@ def test_perturbations_change_through_the_vector_environments_of_stable_baseline
 @pytest.mark.parametrize(
     ("perturbations", "message"),
     [
-        ("longer--150..20", "longer--150 has no such strength"),
-        ("rotation-60..-60", "the range of rotation must be from a low to a higher strength"),
+        ("longer--150..20", "the strength of longer must be at least -99.9999, got -150"),
+        (
+            "rotation-60..-60",
+            "the range of rotation must be from a low to a strength that is not lower",
+        ),
         ("locked-1..5", "joint must be an index from -3 to 2"),
-        ("longer-0..30-known", "longer-0..30 must be left out, as agents are given their arm once"),
-        (lambda: SegmentLength(uniform(-0.2, 1)), "factor must be positive and finite, got -0.2"),
-        ([SegmentLength(uniform(1, 1), known=True)], "known must be False for what is drawn"),
+        ("longer-0..30-known", "agents are given their arm once"),
+        (lambda: SegmentLength(uniform(-0.2, 1)), "strength of longer must be at least -99.9999"),
+        (
+            lambda: SegmentLength(uniform(1, 1), known=True),
+            "known of longer must be False for what is drawn",
+        ),
         ("force-field-0..500", "perturbations must be possible whatever is drawn"),
-        (["longer-0..20", "force-field-10-at-0.5"], "without a drawn body"),
     ],
 )
 def test_impossible_draws_are_refused_in_a_line(perturbations, message):
@@ -411,10 +422,10 @@ def test_a_scale_is_of_ranges():
 
 def test_a_range_is_a_name():
     change = parse_change("rotation--60..60-at-1")
-    assert (change.name, change.is_drawn, change.strength) == ("rotation--60..60-at-1", True, None)
+    assert (change.name, change.is_drawn, change.number) == ("rotation--60..60-at-1", True, None)
     assert "-60..60°, drawn for each episode" in change.description
     scenario = parse_scenario("random+longer--30..35+joint-noise-0..0.05")
     assert scenario == parse_scenario(scenario.name)
     assert scenario.settings != parse_scenario("longer--30..30+joint-noise-0..0.05").settings
     plain = as_json({"one": VisuomotorRotation(uniform(-60, 120))})
-    assert plain["one"]["degrees"] == {"name": "uniform", "args": [-60, 120]}
+    assert plain["one"]["strength"] == {"name": "uniform", "args": [-60, 120]}

@@ -10,30 +10,33 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.cursor import Cursor
 from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import (
+    FOUR_DISCS,
     CursorGain,
     CursorJump,
     CursorMirror,
     ErrorClamp,
     JointNoise,
+    JointNoiseSpeed,
     LockedJoint,
-    Noise,
     Obstacles,
-    Perturbation,
     SegmentLength,
     Timed,
     VisionNoise,
+    VisionNoiseDistance,
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.senses import Noise
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import node_positions, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.measures import run_episodes
 
-DISCS = Obstacles().discs
+DISCS = FOUR_DISCS[:2]
 BLOCKED = {"obstacles": (*DISCS, DISCS[0]), "substep": 0.0025, "substeps": 8}
 LONG = {"segment_lengths": (2, 0.5, 1), "torque_limit": 500.0}
 
@@ -69,8 +72,8 @@ def rough_actions(steps, seed):
 def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_known):
     own = {"force_field": ((1.0, 0.0), (0.0, 1.0)), "hand_mass": 0.5, "gravity": (1.0, -2.0)}
     env = MMCReachEnv(perturbations=perturbations, **own)
-    assert env.setup.body == ArmParameters(**{**own, **body})
-    assert env.parameters == (env.setup.body if is_known else ArmParameters(**own))
+    assert env.episode.body == ArmParameters(**{**own, **body})
+    assert env.parameters == (env.episode.body if is_known else ArmParameters(**own))
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -78,8 +81,9 @@ def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_
 def test_an_agent_that_is_not_given_a_length_misses_by_its_change(factor, known):
     change = SegmentLength(factor, known=known)
     env = MMCReachEnv(perturbations=change)
-    assert env.setup.body.segment_lengths == (1.0, 1.0, factor)
-    assert env.parameters.segment_lengths == (1.0, 1.0, factor if known else 1.0)
+    assert env.episode.body.segment_lengths == pytest.approx((1.0, 1.0, factor))
+    given = (1.0, 1.0, factor if known else 1.0)
+    assert env.parameters.segment_lengths == pytest.approx(given)
     expected = 0.0 if known else abs(factor - 1)
     for seed in range(5):
         assert movement(env, seed).distances[-1] == pytest.approx(expected, abs=0.01)
@@ -144,14 +148,30 @@ def test_noise_is_as_large_as_stated_and_white():
 
 @pytest.mark.parametrize(("speed", "distance"), [(0.0, 0.0), (1.5, 1.0), (-3.0, 2.5)])
 def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, distance):
-    still = np.zeros((1, 3))
-    true = Seen(still, np.array([[0.0, distance]]), still + speed, np.zeros((1, 2)))
-    felt = JointNoise(std=0.01, speed_std=0.02).disturb(true, np.ones)
-    np.testing.assert_allclose(felt.joint_angles, [[0.01 + 0.02 * abs(speed)] * 3])
-    np.testing.assert_allclose(felt.joint_speeds - speed, [[0.1 + 0.2 * abs(speed)] * 3])
-    seen = VisionNoise(std=0.01, distance_std=0.05).disturb(true, np.ones)
-    np.testing.assert_allclose(seen.hand, 0.01 + 0.05 * distance)
-    np.testing.assert_allclose(seen.target - (0.0, distance), 0.01 + 0.05 * distance)
+    changes = [
+        JointNoise(0.01),
+        JointNoiseSpeed(0.02),
+        VisionNoise(0.01),
+        VisionNoiseDistance(0.05),
+    ]
+    setup = MMCReachEnv(perturbations=changes).setup
+    still, count = np.zeros((5000, 3)), 5000
+    hands = np.zeros((count, 2))
+    targets = hands + np.array([0.0, distance])
+    true = Seen(still, targets, still + speed, hands)
+    levels = np.tile(setup.first.disturbance.noise, (count, 1))
+    noise, arms = Noise(count, 3, setup.episodes.touched), np.arange(count)
+    noise.begin(arms, levels)
+    randoms = [np.random.default_rng(seed) for seed in range(count)]
+    seen = noise.disturb(true, levels, arms, 0 * arms, randoms)
+    of_joints, of_sight = math.hypot(0.01, 0.02 * speed), math.hypot(0.01, 0.05 * distance)
+    for errors, std in (
+        (seen.joint_angles, of_joints),
+        (seen.joint_speeds - speed, 10 * of_joints),
+        (seen.hand, of_sight),
+        (seen.target - (0.0, distance), of_sight),
+    ):
+        np.testing.assert_allclose(errors.std(axis=0), std, rtol=0.05)
 
 
 @pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100", "vision-delay-100"])
@@ -201,7 +221,7 @@ def turned(z, degrees):
     ("task", "perturbations", "centre", "expected"),  # of a hand at z, and a share of 0.4 s
     [
         ("random", "rotation-40", 0j, lambda z, _: turned(z, 40)),
-        ("random", VisuomotorRotation(30.0, (0.0, 1.5)), 1.5j, lambda z, _: turned(z, 30)),
+        ("random", VisuomotorRotation(30.0, centre=(0.0, 1.5)), 1.5j, lambda z, _: turned(z, 30)),
         # Around the point where all movements start.
         ("centre-out", "gain-1.4-over-0.4", 1.5j, lambda z, share: (1 + 0.4 * share) * z),
         ("centre-out", "rotation-60-over-0.4", 1.5j, lambda z, share: turned(z, 60 * share)),
@@ -230,7 +250,7 @@ def test_cursors_grow_add_up_and_are_seen_and_rewarded(task, perturbations, cent
             offset = turned(way, -math.degrees(joint_angles(env)[0]))
             seen = np.clip([offset.real, offset.imag], -limits, limits)
             np.testing.assert_allclose(observation[11:13], seen, atol=1e-6)
-            turn = env.setup.disturbance(step).cursor
+            turn = env.disturbance.cursor
             assert turn.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 
@@ -239,7 +259,7 @@ def test_cursors_grow_add_up_and_are_seen_and_rewarded(task, perturbations, cent
     "name", ["force-field", "hand-mass", "rotation", "mirror", "clamp", "vision-noise", "delay"]
 )
 def test_what_begins_at_the_start_is_always_there_and_what_begins_later_is_not(name, engine):
-    change = parse_change(name).perturbation
+    change = parse_change(name)
     always, timed, later, never = (
         MMCReachEnv(perturbations=one, engine=engine, control="joint_torque")
         for one in ([change], [Timed(change)], [Timed(change, at=0.2)], [])
@@ -282,14 +302,15 @@ def test_a_hidden_hand_repeats_where_it_was_last_seen(names, seen_at):
 
 
 def test_the_target_is_in_reach_all_the_time():
-    changes = (Timed(CursorMirror(60.0, (0.5, 1.0)), at=1), Timed(CursorGain(2.0), over=1))
+    changes = (CursorMirror(60.0, centre=(0.5, 1.0), at=1), CursorGain(2.0, over=1))
     env = MMCReachEnv(perturbations=(*changes, "locked-2", "obstacles-1"))
     for seed in range(100):
         target, posture = env.reset(seed=seed)[1]["target"], env.arm.joint_angles
-        workspace = Workspace(env.setup.body, None, (1,))
+        workspace = Workspace(env.episode.body, None, (1,))
         for step in range(0, 101, 5):
-            cursor = env.setup.disturbance(step).cursor
-            assert cursor.cursor(*cursor.hand(*target), target) == pytest.approx(tuple(target))
+            arms = env.setup.episodes.arms(env.episode.numbers[None], step)
+            cursor = Cursor.of(arms, env.setup.episodes.touched).row(0)
+            assert cursor.at(*cursor.hand(*target), target) == pytest.approx(tuple(target))
             assert workspace.contains(cursor.hand(*target), posture)
 
 
@@ -316,13 +337,17 @@ def test_a_cursor_jumps_to_the_left_once_the_hand_has_made_a_share_of_the_way():
     left = 0.1 * np.array([-target[1], target[0]])
     np.testing.assert_allclose(cursors - hands, np.outer(has_jumped, left), atol=1e-9)
     # At a target that waits at the start it stays there.
-    assert ErrorClamp(15.0, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (0.0, 1.0)
-    assert CursorJump(10.0, 0.2, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (1.0, 1.0)
+    for change, cursor in (
+        (ErrorClamp(15.0), (0.0, 1.5)),
+        (CursorJump(10.0, share=0.2), (1.0, 1.0)),
+    ):
+        env = MMCReachEnv(task="centre-out", perturbations=change)
+        assert env.disturbance.cursor.at(1.0, 1.0, (0.0, 1.5)) == cursor
 
 
 def clearance(env):
     """Least distance between the surfaces of arms and obstacles; negative: how deep they are in."""
-    body = env.setup.body
+    body = env.setup.first.body
     angles = joint_angles(env) if isinstance(env, MMCReachEnv) else env.arms.joint_angles
     nodes = node_positions(segments_from_joint_angles(angles, body.segment_lengths))
     shares = np.linspace(0, 1, 101)[:, None]
@@ -356,33 +381,19 @@ def test_starts_and_targets_are_clear_of_obstacles():
     for _ in range(200):
         target = env.reset()[1]["target"]
         assert clearance(env) > 0
-        for x, y, radius in env.setup.body.obstacles:
+        for x, y, radius in env.episode.body.obstacles:
             assert math.dist(target, (x, y)) > radius
     for options in ({"target": (1.5, 1.0)}, {"joint_angles": [math.atan2(1.0, 1.5), 0.0, 0.0]}):
         with pytest.raises(ValueError, match="clear of the obstacles"):
             env.reset(options=options)
 
 
-class Forgetful(Noise):
-    """No method returns anything."""
-
-    def disturb(self, seen, draw):
-        del seen, draw
-
-    def change_body(self, body):
-        return body if type(self) is Forgetful else None
-
-
 def test_what_cannot_be_or_be_combined_is_refused():
-    misspelt = type("Misspelt", (Perturbation,), {"change_bodies": Perturbation.change_body})()
     for perturbations, message in (
-        (misspelt, "Misspelt must have a method change_body"),
-        (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
-        (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
         ("rotation-30+delay-40", r"perturbations '.* a list such as \['rotation-30', 'delay-40'"),
-        (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
+        (None, "perturbations None is not accepted. It may be .* or a Change$"),
         (Obstacles(((0.0, 0.0, 1.0),)), "obstacles must leave room for the arm"),
-        (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach"),
+        (VisuomotorRotation(180.0, centre=(20.0, 0.0)), "must leave targets in reach"),
         ("longer-500", "must leave targets in reach"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),
@@ -408,7 +419,7 @@ def test_what_can_be_made_can_be_reset_with_any_seed(perturbations, joint_limits
     for seed in range(30):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
-        assert env.setup.workspace.contains(info["target"], env.arm.joint_angles)
+        assert env.episode.workspace.contains(info["target"], env.arm.joint_angles)
         np.testing.assert_array_equal(vector.reset(seed=seed)[0][0], observation)
 
 

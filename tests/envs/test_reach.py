@@ -1,7 +1,7 @@
 """Facts about MMCReach-v0 and MMCReachGoal-v0."""
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from functools import partial
 from itertools import product
 
@@ -15,7 +15,7 @@ from scipy import stats
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
-from mmc_gym.envs import perturbations
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.geometry import segments_from_joint_angles
@@ -30,13 +30,7 @@ SHAPES = {
 }
 NUMBERS = ["control_weight", "precision_weight", "smoothness_weight", "success_distance"]
 NUMBERS += [one.name for one in fields(ArmParameters) if one.type == "float"] + [*SHAPES]
-STRENGTHS = [
-    (cls, one.name)
-    for cls in vars(perturbations).values()
-    if is_dataclass(cls) and issubclass(cls, perturbations.Perturbation)
-    for one in fields(cls)
-    if one.type == "float"
-]
+STRENGTHS = [(name, "strength") for name in FAMILIES] + [("gain", "at"), ("gain", "over")]
 every_engine = pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 same = partial(data_equivalence, exact=True)
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
@@ -225,9 +219,8 @@ def with_number(name, value):
     """The arguments of an environment with this value of a number or of a perturbation's."""
     if isinstance(name, str):
         return {name: SHAPES.get(name, float)(value)}
-    cls, field = name
-    changed = (perturbations.CursorGain(),) if cls is perturbations.Timed else ()
-    return {"perturbations": [cls(*changed, **{field: value})]}
+    family, field = name
+    return {"perturbations": [FAMILIES[family](**{field: value})]}
 
 
 @every_engine

@@ -25,8 +25,9 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs import perturbations as kinds
-from mmc_gym.envs.names import FAMILIES, TASKS, environment_id, parse_change
+from mmc_gym.envs.names import TASKS, environment_id, parse_change
 from mmc_gym.envs.perturbations import (
+    FAMILIES,
     HandMass,
     JointNoise,
     LockedJoint,
@@ -66,14 +67,14 @@ DISC = (1.5, 1.0, 0.25)
     [
         ("delay-150", "delay-150", kinds.SensoryDelay(0.15)),
         ("longer-35-known", "longer-35-known", kinds.SegmentLength(1.35, known=True)),
-        ("shorter", "shorter-20", kinds.SegmentLength(0.8)),
+        ("shorter", "shorter-20", kinds.shorter(20.0)),
         ("force-field--5.50", "force-field--5.5", kinds.ForceField(-5.5)),
         ("gravity", "gravity-60", kinds.Gravity(60.0)),
         ("locked", "locked-2", kinds.LockedJoint(1)),
-        ("locks-3-known", "locks-3-known", kinds.LockedJoint(2, time=0.2, known=True)),
-        ("joint-noise-speed-0.03", "joint-noise-speed-0.03", kinds.JointNoise(0.0, speed_std=0.03)),
+        ("locks-3-known", "locks-3-known", kinds.locks(3, known=True)),
+        ("joint-noise-speed-0.03", "joint-noise-speed-0.03", kinds.JointNoiseSpeed(0.03)),
         ("vision-noise-0.00001", "vision-noise-0.00001", kinds.VisionNoise(0.00001)),
-        ("vision-noise-distance", "vision-noise-distance-0.05", kinds.VisionNoise(0.0, 0.05)),
+        ("vision-noise-distance", "vision-noise-distance-0.05", kinds.VisionNoiseDistance(0.05)),
         ("obstacles-1", "obstacles-1", kinds.Obstacles((DISC,))),
         ("rotation-1000000", "rotation-1000000", kinds.VisuomotorRotation(1e6)),
         ("mirror", "mirror-90", kinds.CursorMirror(90.0)),
@@ -87,24 +88,24 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
     assert one.name == full_name
     assert one == parse_scenario(full_name)
     (change,) = one.changes
-    assert change.perturbation == perturbation
+    assert change == perturbation
     assert change.with_strength(change.strength) == change
     for perturbations in ([name], [change], [perturbation]):
-        assert MMCReachEnv(perturbations=perturbations).setup.perturbations == (perturbation,)
+        assert MMCReachEnv(perturbations=perturbations).setup.episodes.changes == (perturbation,)
 
 
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
-        ("delay-40-known", "'-known' may follow longer, shorter, locked, locks only"),
+        ("delay-40-known", "delay cannot be known"),
         ("rotation-30+centre-out", "'centre-out' is a task, which comes first"),
-        ("locked-0", "locked-0 has no such strength"),
-        ("obstacles-5", "number of obstacles"),
-        (f"locked-1{400 * '0'}", "locked-inf has no such strength"),
-        ("locks-at-1", "locks-2 cannot begin or grow like this: .* begin within an ep"),
-        ("mirror-over-1", "mirror-90 cannot begin .* over must be 0"),
-        ("delay-at-2000", "delay-100 cannot begin .* at must be"),
+        ("locked-0", "'locked-0' is not possible: .* a whole number from 1 on, got 0"),
+        ("obstacles-5", "the strength of obstacles must be a whole number from 1 to 4, got 5"),
+        (f"locked-1{400 * '0'}", "a whole number from 1 on, got inf"),
+        ("locks-at-1", "'locks-at-1' is not possible: .* that can begin within an ep"),
+        ("mirror-over-1", "'mirror-over-1' is not possible: over must be 0"),
+        ("delay-at-2000", "'delay-at-2000' is not possible: at must be"),
         ("no-feedback-3", "no-feedback takes no strength, got 3"),
         (None, "scenario None is not accepted"),
     ],
@@ -140,7 +141,7 @@ def test_what_is_suggested_is_accepted(name, guess):
 
 def test_a_strength_is_exact():
     change = parse_scenario("longer-20-known").changes[0].with_strength(1 / 3)
-    assert change.perturbation == kinds.SegmentLength(1 + 1 / 300, known=True)
+    assert change == kinds.longer(1 / 3, known=True)
     assert change == parse_scenario(change.name).changes[0]
     env = mmc_gym.make("random", perturbations=[change])
     assert env.spec.kwargs["perturbations"] == [change.name]  # a file can hold it
@@ -172,7 +173,7 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint, tmp_
         with pytest.raises(UserError, match=hint):
             make(name)
         make(mended)
-    with pytest.raises(UserError, match=r"SensoryDelay would delay nothing: .* such as delay-20"):
+    with pytest.raises(UserError, match=r"delay-5 would delay nothing: .* such as delay-20"):
         mmc_gym.make("random", perturbations=[kinds.SensoryDelay(0.005)])
 
 
@@ -195,8 +196,8 @@ def test_a_task_and_perturbations_together_have_one_name(name, full_name, task, 
     assert one.settings["baseline"] == (task if family else None)
     setup, vector = one.make().unwrapped.setup, one.make_vec(2).setup
     assert setup.task is TASKS[task].task
-    perturbations = tuple(change.perturbation for change in one.changes)
-    assert setup.perturbations == vector.perturbations == perturbations
+    perturbations = one.changes
+    assert setup.episodes.changes == vector.episodes.changes == perturbations
 
 
 def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
@@ -205,14 +206,14 @@ def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
     assert one.spec.id == "MMCReachPursuit-v0"
     assert (one.spec.max_episode_steps, one.unwrapped.render_mode) == (9, "rgb_array")
     assert mmc_gym.make(name).spec.max_episode_steps == 500
-    assert one.unwrapped.setup.perturbations == (kinds.VisuomotorRotation(45.0),)
+    assert one.unwrapped.setup.episodes.changes == (kinds.VisuomotorRotation(45.0),)
     assert one.unwrapped.setup.caption == "pursuit, rotation-45"
     native, sync = (mmc_gym.make_vec(name, 3, vectorization_mode=m) for m in (None, "sync"))
     assert isinstance(native, MMCReachVectorEnv)
     assert isinstance(sync, gym.vector.SyncVectorEnv)
     assert same(native.reset(seed=1), sync.reset(seed=1))
     assert mmc_gym.make_vec("MMCReachGoal-v0", 2, **arguments).max_episode_steps == 9
-    assert mmc_gym.make("pursuit", perturbations=["locked"]).unwrapped.setup.lock_step == 0
+    assert mmc_gym.make("pursuit", perturbations=["locked"]).unwrapped.episode.lock_step == 0
 
 
 def test_what_a_name_sets_is_no_argument():
@@ -238,7 +239,7 @@ def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar
 def test_the_id_of_a_task_makes_it_and_has_its_time(name):
     env, task = gym.make(environment_id(name)), TASKS[name].task
     assert env.unwrapped.setup.task is task
-    assert env.unwrapped.setup.perturbations == ()
+    assert env.unwrapped.setup.episodes.changes == ()
     assert env.spec.max_episode_steps == task.episode_steps
     assert gym.make_vec(environment_id(name), 2).max_episode_steps == task.episode_steps
     assert MMCReachVectorEnv(2, task=name).max_episode_steps == task.episode_steps
@@ -357,5 +358,5 @@ def test_an_environment_is_recovered_from_its_spec(arguments):
     ],
 )
 def test_an_object_that_no_file_can_hold_is_refused(value):
-    with pytest.raises(UserError, match=r"from a file|Perturbation"):
+    with pytest.raises(UserError, match=r"from a file|Change"):
         gym.make("MMCReach-v0", perturbations=value)

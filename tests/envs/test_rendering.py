@@ -14,11 +14,11 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.envs import render as drawing
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.names import FAMILIES
-from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import Renderer, Scene, View, Window
-from mmc_gym.envs.spec import Options, ReachSetup
+from mmc_gym.envs.setup import ReachSetup
+from mmc_gym.envs.trials import Options
 
 FAR = (-2.5, 0.0)
 
@@ -39,7 +39,9 @@ def setup_of(**arguments):
 
 
 def picture(angles, target=FAR, setup=None, **scene):
-    return Renderer(setup or setup_of(), "rgb_array").draw(Scene(angles, target, **scene)) * 1.0
+    setup = setup or setup_of()
+    shown = Scene(angles, target, cursor=setup.first.disturbance.cursor, **scene)
+    return Renderer(setup, setup.first, "rgb_array").draw(shown) * 1.0
 
 
 def gray(image, point, size=5):
@@ -145,7 +147,8 @@ def test_targets_to_come_are_shown_and_those_that_were_are_not():
         assert all(differ(*images, place) for place in path[now + 1 :])
     np.testing.assert_array_equal(*images)  # nothing comes after the last
     pursuit = setup_of(task="pursuit")
-    path = pursuit.draw_trial(np.random.default_rng(0), Options()).targets
+    random, workspace = np.random.default_rng(0), pursuit.first.workspace
+    path = pursuit.trials.draw(workspace, random, Options()).targets
     images = [picture([0.0] * 3, path[0], pursuit, path=shown) for shown in (path, ())]
     assert all(differ(*images, path[place]) for place in (100, 250, 400))
 
@@ -181,9 +184,8 @@ def test_arrows_turn_as_the_field_bends():
 
 
 def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target():
-    rotation = VisuomotorRotation(90.0)
-    setup = setup_of(perturbations=[rotation])
-    assert differ(picture([0.0] * 3, FAR, setup), picture([0.0] * 3), rotation.cursor(3.0, 0.0))
+    setup = setup_of(perturbations=["rotation-90"])
+    assert differ(picture([0.0] * 3, FAR, setup), picture([0.0] * 3), (0.0, 3.0))
     # Within the success distance a second ring is painted, of the cursor and not of the hand.
     near = (0.0, 2.97), (0.0, 2.9), (2.97, 0.0)
     dark = [(gray(picture([0.0] * 3, one, setup), one, 16) < 150).sum() for one in near]

@@ -61,7 +61,11 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
     for task, arguments, message in (
         ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture"),
         # The cursor leaves the reach.
-        ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "where trial .* starts"),
+        (
+            "paper",
+            {"perturbations": VisuomotorRotation(30.0, centre=(0.0, 1.5))},
+            "where trial .* starts",
+        ),
         ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
@@ -102,7 +106,7 @@ def test_paths_may_be_arrays_and_have_the_length_that_is_drawn_and_no_other(make
     env.reset(seed=0)
     *_, info = env.step(np.zeros(env.action_space.shape, np.float32))
     assert np.ravel(info["target"]).tolist() == path[1].tolist()
-    assert env.setup.path_length == 2
+    assert env.setup.trials.path_length == 2
     path = np.array([[0.0, 1.0]] * 3)
     with pytest.raises(UserError, match="task must be one whose paths have 2"):
         env.reset(seed=0)
@@ -138,7 +142,7 @@ def test_the_target_jumps_once_and_at_its_time(arguments, step):
 
 def test_a_pursued_target_has_the_stated_frequencies_is_in_reach_and_another_each_time():
     env, task = MMCReachEnv(task="pursuit"), TASKS["pursuit"].task
-    assert env.setup.path_length == task.episode_steps == 500
+    assert env.setup.trials.path_length == task.episode_steps == 500
     path, other = (targets_of(env, 1000, seed=seed) for seed in range(2))
     np.testing.assert_array_equal(path[:500], path[500:1000])
     assert np.linalg.norm(path, axis=-1).max() < 3.0
@@ -199,16 +203,30 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
         (Pursuit, {"period": 0.0}),
         (PointToPoint, {"points": ((0,), (1,)), "pairs": ((0, 1),)}),
         (PointToPoint, {"pairs": ((0, 1),), "points": ((0.5, 0.0),)}),
-        (SegmentLength, {"factor": 0.0}),
-        (LockedJoint, {"time": -0.1}),
-        (SensoryDelay, {"seconds": math.inf}),
-        (JointNoise, {"speed_std": math.nan}),
-        (VisuomotorRotation, {"centre": (0.0, math.inf)}),
     ],
 )
 def test_values_that_make_no_sense_are_refused(kind, values):
     with pytest.raises(UserError, match=f"^{next(iter(values))} must be"):
         kind(**values)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
+        (lambda: LockedJoint(1, time=-0.1), "time must be from 0 to 1000"),
+        (lambda: SensoryDelay(math.inf), "strength must be a finite number, got inf"),
+        (lambda: JointNoise(math.nan), "strength of joint-noise must be from 0 to 1e.09, got nan"),
+        (lambda: VisuomotorRotation(30.0, centre=(0.0, math.inf)), "centre must be two finite"),
+        (
+            lambda: VisuomotorRotation(30.0, center=(0.0, 1.0)),
+            "unexpected keyword argument 'center'",
+        ),
+    ],
+)
+def test_perturbations_that_make_no_sense_are_refused(make, message):
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(perturbations=make())
 
 
 def workspace(lengths):
@@ -296,7 +314,8 @@ def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(lengths, sha
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.0, 1.5), (-2.0, 1.0)])
 @pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):
-    rotation, random = VisuomotorRotation(degrees, centre), np.random.default_rng(0)
+    env = MMCReachEnv(perturbations=VisuomotorRotation(degrees, centre=centre))
+    rotation, random = env.disturbance.cursor, np.random.default_rng(0)
     space = Workspace(ArmParameters(), cursor=rotation)
     for target in (space.draw_target(random, []) for _ in range(300)):
         assert space.contains(target)

@@ -24,7 +24,7 @@ every_engine = pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 
 COUNT = 5
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
-AROUND_A_POINT = {"perturbations": VisuomotorRotation(45.0, (0.0, 1.5))}
+AROUND_A_POINT = {"perturbations": VisuomotorRotation(45.0, centre=(0.0, 1.5))}
 SPARSE = {"reward_type": "sparse", "success_distance": 0.5}
 TORQUE = {"control": "joint_torque"}
 VARIANTS = [

@@ -1,0 +1,195 @@
+"""What may differ between arms, or change in an episode: a column of numbers for each quantity.
+
+`Arms` holds n arms.  A perturbation is a function that overwrites their columns, see
+`mmc_gym.envs.perturbations`.  One arm is n = 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym._errors import UserError, require
+from mmc_gym.envs.workspace import Point, rings
+
+if TYPE_CHECKING:  # names are registered without loading the physics
+    from mmc_gym.body import ArmParameters
+    from mmc_gym.body.parameters import ArmColumns
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]  # of numbers, or of arrays (n,)
+
+
+@dataclass(slots=True)
+class Arms:
+    """Columns of n arms of N segments, in segment lengths, segment masses, radians and seconds.
+
+    Those of the body are the fields of `mmc_gym.body.ArmParameters`, in the same units.  A column
+    is an array of floats, (n,), or (n, …) as below.
+    """
+
+    base: ArmParameters  #: the arm without perturbations
+    segment_lengths: Floats  #: (n, N)
+    segment_masses: Floats  #: (n, N)
+    joint_limits: Floats  #: lowest and highest, (n, N, 2); infinite without limits
+    gravity: Floats  #: (n, 2)
+    force_field: Floats  #: (n, 2, 2)
+    hand_mass: Floats  #: (n,)
+    speed_limit: Floats  #: (n,)
+    torque_limit: Floats  #: (n,)
+    servo_gain: Floats  #: (n,)
+    drive_inertia: Floats  #: (n,)
+    segment_radius: Floats  #: (n,)
+    substep: Floats  #: (n,)
+    substeps: NDArray[np.intp]  #: (n,)
+    obstacles: NDArray[np.object_]  #: tuples of discs (x, y, radius), (n,)
+    lockable: Bools  #: which joints lock, (n, N)
+    lock_time: Floats  #: when they lock, s after the start, (n,); NaN: never
+    channel: Floats  #: curl of the field that a channel stands for, (n,); NaN: the hand is free
+    turn: Floats  #: of the cursor about its centre: turns, mirrors and gains, (n, 2, 2)
+    shift: Floats  #: of the turned cursor, (n, 2)
+    clamp: Floats  #: direction of the cursor, degrees from that of the target, (n,); NaN: free
+    jump: Floats  #: of the cursor across the way to the target, as a share of the way, (n,)
+    jump_after: Floats  #: share of the way after which the cursor jumps, (n,)
+    joint_noise: Floats  #: standard deviation of joint angles, rad, (n,)
+    joint_noise_speed: Floats  #: its increase with the joint's speed, s, (n,)
+    vision_noise: Floats  #: standard deviation of the seen hand and target, (n,)
+    vision_noise_distance: Floats  #: its increase with their distance, (n,)
+    delay: Floats  #: of all senses, s, (n,)
+    vision_delay: Floats  #: of sight, besides, s, (n,)
+    hidden: Floats  #: 0: the hand is seen; 1: never; 2: only where a movement ends, (n,)
+    start: Floats  #: of all movements, in reaches, (n, 2); the base if starts differ
+    given_lengths: Floats  #: of the segments, as agents are given them, (n, N)
+
+    @classmethod
+    def of(cls, base: ArmParameters, start: Point | None = None) -> Arms:
+        """Return one arm without perturbations, whose movements begin at `start`."""
+        count = len(base.segment_lengths)
+        columns: dict[str, Any] = {name: np.zeros(1) for name in _COLUMNS}
+        columns |= {name: np.array([getattr(base, name)]) for name in _NUMBERS}
+        columns |= {name: np.full(1, np.nan) for name in ("lock_time", "channel", "clamp")}
+        columns["segment_lengths"] = np.array([base.segment_lengths])
+        columns["given_lengths"] = np.array([base.segment_lengths])
+        columns["segment_masses"] = np.array([base.masses])
+        limits = base.joint_limits or [(-math.inf, math.inf)] * count
+        columns["joint_limits"] = np.array([limits])
+        columns["force_field"] = np.array([base.force_field or np.zeros((2, 2))])
+        columns["obstacles"] = discs = np.empty(1, dtype=object)
+        discs[0] = base.obstacles
+        columns["lockable"] = np.isin(np.arange(count), base.lockable_joints)[None]
+        columns["turn"], columns["shift"] = np.eye(2)[None], np.zeros((1, 2))
+        columns["jump_after"] = np.full(1, 0.25)
+        columns["start"] = np.array([start or (0.0, 0.0)])
+        return cls(base, **columns)
+
+    def __len__(self) -> int:
+        return len(self.speed_limit)
+
+    def rows(self, arms: Any) -> Arms:
+        """Return copies of some arms, given by indices or by a mask."""
+        return Arms(self.base, **{name: getattr(self, name)[arms] for name in _COLUMNS})
+
+    def write(self, arms: Any, rows: Arms) -> None:
+        """Overwrite some arms, given by indices or by a mask, by as many others."""
+        for name in _COLUMNS:
+            getattr(self, name)[arms] = getattr(rows, name)
+
+    def changed(self, other: Arms) -> set[str]:
+        """Return the names of the columns that differ from those of as many other arms.
+
+        Raises:
+            UserError: if a column is not an array of the same shape any more.
+        """
+        for name in _COLUMNS:
+            column, before = getattr(self, name), getattr(other, name)
+            is_column = isinstance(column, np.ndarray) and column.shape == before.shape
+            require(is_column, f"column {name}", column, f"an array of shape {before.shape}")
+        return {name for name in _COLUMNS if _differ(self, other, name)}
+
+    @property
+    def ring(self) -> tuple[Floats, Floats]:
+        """Smallest and largest distance of targets from the base, each (n,)."""
+        return rings([*self.segment_lengths.T], self.given_lengths[0].tolist())
+
+    @property
+    def centre(self) -> Floats:
+        """Where cursor and hand coincide, (n, 2): where movements begin, or the base."""
+        return self.start * self.ring[1][:, None] if self.start.any() else self.start
+
+    def turn_cursor(self, matrix: Matrix, centre: Sequence[float] | None = None) -> None:
+        """Turn, mirror or stretch the cursor once more, about a centre (x, y) or its own."""
+        away = 0.0 if centre is None else self.centre - np.asarray(centre)
+        moved, turn = (self.shift + away).T, self.turn.transpose(1, 2, 0)
+        rows = [(a * turn[0] + b * turn[1], a * moved[0] + b * moved[1]) for a, b in matrix]
+        self.turn[:] = np.stack([turned for turned, _ in rows]).transpose(2, 0, 1)
+        self.shift[:] = np.stack([shifted for _, shifted in rows], axis=-1) - away
+
+    def lock(self, joints: NDArray[np.intp], time: Any) -> None:
+        """Let one joint of each arm, (n,) indices, lock at a time, s, a number or (n,)."""
+        times = np.broadcast_to(time, len(self))
+        is_other = self.lockable.any(axis=1) & (self.lock_time != times)
+        if (is_other & (self.lock_time == self.lock_time)).any():
+            pair = sorted({*self.lock_time[is_other].tolist(), *times[is_other].tolist()})
+            raise UserError(f"locked joints must lock at one time, got the times {pair}")
+        self.lockable[np.arange(len(self)), joints] = True
+        self.lock_time[:] = times
+
+    def parameters(self, touched: frozenset[str], row: int = 0) -> ArmParameters:
+        """Return the parameters of one arm, checked: those of the base, but for touched columns."""
+        values = {name: _as_numbers(getattr(self, name)[row]) for name in touched & _OF_BODY}
+        if "lockable" in touched:
+            values["lockable_joints"] = tuple(np.flatnonzero(self.lockable[row]).tolist())
+        return replace(self.base, **values) if values else self.base
+
+    def columns(self, touched: frozenset[str]) -> ArmColumns:
+        """Return the parameters of all arms for an engine, unchecked."""
+        from mmc_gym.body.parameters import ArmColumns
+
+        values = {one.name: getattr(self.base, one.name) for one in fields(self.base)}
+        values |= {name: _nested(getattr(self, name)) for name in touched & _OF_BODY}
+        if "lockable" in touched:
+            joints = [(joint, locks) for joint, locks in enumerate(self.lockable.T) if locks.any()]
+            values["lockable_joints"] = tuple(np.where(is_, k, np.nan) for k, is_ in joints)
+        return ArmColumns(**values)
+
+
+IN_FLIGHT = frozenset(("hand_mass", "force_field", "turn", "shift", "clamp", "jump"))
+IN_FLIGHT |= {"jump_after", "joint_noise", "joint_noise_speed", "vision_noise", "delay", "hidden"}
+IN_FLIGHT |= {"vision_noise_distance", "vision_delay"}
+"""The columns that may change within an episode."""
+_COLUMNS = tuple(one.name for one in fields(Arms) if one.name != "base")
+_NUMBERS = ["gravity", "hand_mass", "speed_limit", "torque_limit", "servo_gain", "drive_inertia"]
+_NUMBERS += ["segment_radius", "substep", "substeps"]
+_OF_BODY = frozenset(
+    (*_NUMBERS, "segment_lengths", "segment_masses", "joint_limits", "force_field", "obstacles")
+)
+BODY = _OF_BODY | {"lockable"}
+"""The columns that the engine simulates."""
+
+
+def _differ(arms: Arms, other: Arms, name: str) -> bool:
+    values, others = getattr(arms, name), getattr(other, name)
+    is_equal = (values == others) | ((values != values) & (others != others))  # NaN is NaN
+    return not is_equal.all()
+
+
+def _as_numbers(value: Any) -> Any:
+    """Return an array, or a number of numpy, as plain numbers in tuples."""
+    if isinstance(value, np.ndarray):
+        return tuple(map(_as_numbers, value))
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _nested(column: Any) -> Any:
+    """Return a column (n, …) as tuples of arrays (n,), or of numbers that all arms share."""
+    if column.ndim > 1:
+        return tuple(map(_nested, np.moveaxis(column, 1, 0)))
+    if column.dtype == object:  # tuples of obstacles
+        return column[0] if len(set(column)) == 1 else column
+    return column[0].item() if (column == column[0]).all() else column
