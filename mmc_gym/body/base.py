@@ -49,6 +49,7 @@ class SingleArm(ABC):
         """
         require_choice("servo", servo, get_args(Servo))
         self.parameters = _checked(parameters)
+        self._fastest = self.parameters.fastest
         self._servo: Servo = servo
         self._count = len(self.parameters.segment_lengths)
         self.servo_impulses = self.servo_work = [nan] * self._count
@@ -74,6 +75,7 @@ class SingleArm(ABC):
         if parameters is not None and parameters != self.parameters:
             self._require_count("segment_lengths", parameters.segment_lengths)
             self.parameters = _checked(parameters)
+            self._fastest = parameters.fastest
             self._build()
         self._place(joint_angles, speeds)
 
@@ -96,7 +98,7 @@ class SingleArm(ABC):
         """Simulate one control step; raise a `UserError` if the movement gets out of control."""
 
     def _require_control(self) -> None:
-        fastest = self.parameters.fastest
+        fastest = self._fastest
         for velocity in self.joint_velocities:
             if not -fastest <= velocity <= fastest:  # true for NaN too
                 raise _out_of_control(fastest, self.joint_velocities)

@@ -366,8 +366,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if cursor is not None:
             info["cursor"] = np.array(hand)
         if setup.channel is not None:
-            info["channel_force"], speed = map(np.float64, arm.contact)
-            info["ideal_force"] = setup.channel * speed
+            force, speed = arm.contact
+            info["channel_force"] = np.float64(force)
+            info["ideal_force"] = np.float64(setup.channel * speed)
         if setup.is_sight_disturbed:
             sights = self._sights
             sights.append((hand, target))  # at first fewer than the delay: the first is the start
@@ -441,7 +442,7 @@ def reward_and_info(
     reward_precision = precision(distance, settings.precision_weight)
     info = {
         "distance": number(distance),
-        "is_success": np.asarray(is_success),  # sync would make objects of numpy bools
+        "is_success": np.array(is_success),  # sync would make objects of numpy bools
         "reward_distance": number(-distance),
         "reward_precision": number(reward_precision),
         "reward_control": number(reward_control),
