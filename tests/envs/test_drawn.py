@@ -382,7 +382,7 @@ def test_perturbations_change_through_the_vector_environments_of_stable_baseline
 
     kinds = {"dummy": vec_env.DummyVecEnv, "subproc": vec_env.SubprocVecEnv}
     made = {"perturbations": "rotation--10..10"}
-    envs = make_vec_env("MMCReach-v0", 2, env_kwargs=made, vec_env_cls=kinds[mode])
+    envs = make_vec_env("mmc_gym:MMCReach-v0", 2, env_kwargs=made, vec_env_cls=kinds[mode])
     envs.env_method("set_perturbations", "rotation-50..60")
     envs.reset()
     drawn = [context["rotation"] for context in envs.get_attr("context")]
