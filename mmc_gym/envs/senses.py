@@ -53,16 +53,6 @@ class Disturbance(NamedTuple):
             np.stack([*noise, arms.vision_noise_distance], -1) if touched & NOISE else None,
         )
 
-    def rows(self, arms: Any) -> Disturbance:
-        """Return that of some arms, given by indices, a mask or a slice."""
-        return Disturbance(
-            None if self.cursor is None else self.cursor.rows(arms),
-            self.delay[arms],
-            self.vision_delay[arms],
-            None if self.hidden is None else self.hidden[arms],
-            None if self.noise is None else self.noise[arms],
-        )
-
     def of_one(self) -> Disturbance:
         """Return that of a single arm, with numbers for the cursor and the delays."""
         return self._replace(
@@ -87,8 +77,8 @@ class Noise:
 
     def begin(self, arms: Indices, noise: Floats) -> None:
         """Begin episodes of some arms, given their largest noise, (k, 4)."""
-        self._is_noisy[arms] = noise.any(axis=1)
-        self._numbers[arms] = 0.0
+        self._is_noisy[arms] = is_noisy = noise.any(axis=1)
+        self._numbers[arms[~is_noisy]] = 0.0  # the first step draws those of the others
 
     def disturb(
         self, seen: Seen, noise: Floats, arms: Indices, steps: Indices, randoms: Randoms
@@ -192,9 +182,10 @@ class Late:
         if not self._most:
             self._value = value
             return
+        oldest = self.oldest
         self._newest = (self._newest + 1) % (self._most + 1)
-        if value is not self._values[self._newest]:
-            self._values[self._newest] = value
+        if not np.may_share_memory(value, oldest):  # else it was written into this place
+            oldest[...] = value
 
     def fill(self, arms: Indices, value: Any) -> None:
         """Let the value of some arms be all that is on its way."""
