@@ -184,7 +184,7 @@ def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
 
 
 def _about(described: object) -> str:
-    """Return a docstring in one line, without the attributes."""
+    """Return the docstring of a class or function in one line, without its "Attributes" section."""
     text = inspect.getdoc(described) or ""
     return " ".join(text.partition("Attributes:")[0].split())
 

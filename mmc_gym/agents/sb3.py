@@ -105,7 +105,8 @@ class ModelAgent(Agent[Any]):
     ) -> None:
         """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`.
 
-        `lacks_statistics` says whether it needs one and has none; None if that is not known.
+        `lacks_statistics` says whether its observations were normalized and their statistics are
+        missing; None if the model does not tell.
         """
         self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
         self.control, self.context = trained_in.control, [*trained_in.context]

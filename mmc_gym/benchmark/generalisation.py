@@ -36,7 +36,7 @@ Ranges = Mapping[str, Sequence[Range]]
 
 
 class Judged(NamedTuple):
-    """A scenario as it is judged."""
+    """The place of a scenario among the strengths of a training."""
 
     place: Place
     family: str = ""  #: empty for a combination

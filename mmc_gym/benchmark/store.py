@@ -203,7 +203,7 @@ def read_table(content: bytes, columns: Sequence[str] | None = None) -> tuple[pa
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write a cell's `files` by kind (`EPISODES`, `PATHS`); delete old files of other kinds."""
+    """Write a cell's files from their contents by kind; delete its old file of any other kind."""
     for kind in (PATHS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
         if kind in files:

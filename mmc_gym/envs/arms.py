@@ -101,10 +101,10 @@ class Arms:
             getattr(self, name)[arms] = getattr(rows, name)
 
     def changed(self, other: Arms) -> set[str]:
-        """Return the names of the columns that differ from those of as many other arms.
+        """Return the names of the columns in which these arms differ from as many others.
 
         Raises:
-            UserError: if a column is not an array of the same shape any more.
+            UserError: if a function has replaced a column by something of another shape.
         """
         for name in _COLUMNS:
             column, before = getattr(self, name), getattr(other, name)
@@ -151,7 +151,7 @@ class Arms:
         """Return the parameters of all arms for an engine, unchecked."""
         from mmc_gym.body.parameters import ArmColumns
 
-        values = {one.name: getattr(self.base, one.name) for one in fields(self.base)}
+        values = {field.name: getattr(self.base, field.name) for field in fields(self.base)}
         values |= {name: _nested(getattr(self, name)) for name in touched & _OF_BODY}
         if "lockable" in touched:
             joints = [(joint, locks) for joint, locks in enumerate(self.lockable.T) if locks.any()]
@@ -159,11 +159,7 @@ class Arms:
         return ArmColumns(**values)
 
 
-IN_FLIGHT = frozenset(("hand_mass", "force_field", "turn", "shift", "clamp", "jump"))
-IN_FLIGHT |= {"jump_after", "joint_noise", "joint_noise_speed", "vision_noise", "delay", "hidden"}
-IN_FLIGHT |= {"vision_noise_distance", "vision_delay"}
-"""The columns that may change within an episode."""
-_COLUMNS = tuple(one.name for one in fields(Arms) if one.name != "base")
+_COLUMNS = tuple(field.name for field in fields(Arms) if field.name != "base")
 _NUMBERS = ["gravity", "hand_mass", "speed_limit", "torque_limit", "servo_gain", "drive_inertia"]
 _NUMBERS += ["segment_radius", "substep", "substeps"]
 _OF_BODY = frozenset(
@@ -171,6 +167,9 @@ _OF_BODY = frozenset(
 )
 BODY = _OF_BODY | {"lockable"}
 """The columns that the engine simulates."""
+_AT_START = BODY - {"hand_mass", "force_field"} | {"lock_time", "channel", "start", "given_lengths"}
+IN_FLIGHT = frozenset(_COLUMNS) - _AT_START
+"""The columns that may change within an episode: of the load, the cursor and the senses."""
 
 
 def _differ(arms: Arms, other: Arms, name: str) -> bool:

@@ -67,7 +67,7 @@ class Part:
         chosen, family = self.is_chosen(drawn), self.change.family
         strengths = np.full(len(drawn), strength, dtype=np.float64)
         if self.change.is_timed:
-            share = share_of(at, over, steps, arms.base.control_step)
+            share = _share_of(at, over, steps, arms.base.control_step)
             if family.neutral is not None:
                 strengths = family.neutral + share * (strengths - family.neutral)
             chosen &= share > 0
@@ -88,9 +88,8 @@ class Part:
     def spans(self, drawn: Floats, control_step: float) -> tuple[Any, Any]:
         """Return the first and the last control step in which it changes, (n,) or numbers."""
         _, at, over, *_ = self.numbers(drawn).values()
-        return _in_steps(at, control_step), _in_steps(at, control_step) + _in_steps(
-            over, control_step
-        )
+        first = _in_steps(at, control_step)
+        return first, first + _in_steps(over, control_step)
 
 
 class Episodes:
@@ -330,7 +329,7 @@ class Episodes:
     @property
     def in_order(self) -> list[Part]:
         """The parts in the order in which they were given."""
-        return [part for part in self._touches]
+        return list(self._touches)
 
     def _shown(self, numbers: Floats, is_chosen: Callable[[int, int], Any]) -> NDArray[np.float32]:
         columns = []
@@ -369,7 +368,7 @@ def _call(family: Family, arms: Arms, strengths: Floats, settings: Mapping[str, 
         raise UserError(f"the function of {family.name} fails for {count}: {reason}") from error
 
 
-def share_of(at: Any, over: Any, steps: Steps, control_step: float) -> Any:
+def _share_of(at: Any, over: Any, steps: Steps, control_step: float) -> Any:
     """Return the share (0 to 1) of the full strength of what begins `at` s and grows `over` s."""
     rise = _in_steps(over, control_step)
     since = steps - _in_steps(at, control_step) + (rise == 0)

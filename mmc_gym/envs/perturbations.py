@@ -49,7 +49,7 @@ FAMILIES: dict[str, Family] = {}
 def _family(
     name: str, unit: str, description: str, default: float, **facts: Any
 ) -> Callable[[Callable[..., None]], Family]:
-    """Register the function below as a family; see `Family` for the facts."""
+    """Return a decorator that makes a function a family; `facts` are more fields of `Family`."""
 
     def register(apply: Callable[..., None]) -> Family:
         FAMILIES[name] = Family(name, unit, description, default, apply, **facts)

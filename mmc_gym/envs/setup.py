@@ -138,8 +138,7 @@ class ReachSetup:
             has_width = all(each.low < each.high for each in self.scale.strengths)
             require(self.scale.is_drawn and has_width, "observe_context", ranges, accepted)
         #: largest absolute value, at least 1, of each number of the observed context
-        self.context_limits: Any = np.float32(np.inf)
-        largest = np.abs(self.context_of(samples)).max(axis=0)
+        largest = np.abs(self._shown(samples)).max(axis=0)
         self.context_limits = np.maximum(largest, np.float32(context_limits))
         may_exceed_limits = self.has_noise or is_drawn or self.limits.farthest > self.reach
         #: order of the observed numbers; its `reach` is the sum of the given lengths
@@ -217,7 +216,7 @@ class ReachSetup:
                     is_listed = each.low <= number <= each.high and number.is_integer()
                     is_accepted = not each.whole or is_listed or math.isnan(number)
                     require(is_accepted, each.name, number, accepted)
-                self._check_numbers(numbers)
+                self.episodes.drawn_changes(numbers)  # their families check the numbers
                 episodes[row] = self._possible_episode(numbers)
                 farthest, limit = self._farthest(numbers), self.limits.farthest
                 accepted = f"at most {limit:g}, as the observation space has it"
@@ -230,10 +229,6 @@ class ReachSetup:
                     f"options['context'] must be possible, got {drawn}{whose}: {error}"
                 ) from error
         return episodes
-
-    def _check_numbers(self, numbers: Floats) -> None:
-        """Raise a `UserError` for drawn numbers, (m,), that a family does not accept."""
-        self.episodes.drawn_changes(numbers)  # made and checked
 
     def _loaded(self, numbers: Floats) -> list[ArmParameters]:
         """Return the bodies of an arm while loads and fields grow: they are largest at the ends."""
@@ -307,17 +302,19 @@ class ReachSetup:
 
     def context_of(self, numbers: Floats) -> NDArray[np.float32]:
         """Return the context, (k, c), that k arms observe if they have drawn `numbers`, (k, m)."""
+        return np.clip(self._shown(numbers), -self.context_limits, self.context_limits)
+
+    def _shown(self, numbers: Floats) -> NDArray[np.float32]:
+        """Return the context without its limits, (k, c), see `context_of`."""
         if self.scale is None:
             return np.zeros((len(numbers), 0), np.float32)
         if not self.episodes.is_drawn:
             shown = self.scale.shown_of(self.episodes.drawn_changes(np.zeros(0)))
-            shown = np.tile(shown, (len(numbers), 1))
-        elif self.scale.is_like(self.episodes):
-            shown = self.scale.shown(numbers)
-        else:
-            changes = map(self.episodes.drawn_changes, numbers)
-            shown = np.stack([self.scale.shown_of(drawn) for drawn in changes])
-        return np.clip(shown, -self.context_limits, self.context_limits)
+            return np.tile(shown, (len(numbers), 1))
+        if self.scale.is_like(self.episodes):
+            return self.scale.shown(numbers)
+        changes = map(self.episodes.drawn_changes, numbers)
+        return np.stack([self.scale.shown_of(drawn) for drawn in changes])
 
     def check_options(self, options: dict[str, Any] | None, count: int | None = None) -> Options:
         """Return the options of a reset, checked; raise a `UserError` if one cannot be accepted.

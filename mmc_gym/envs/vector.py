@@ -279,7 +279,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         setattr(self, name, of_arms[0])
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """End the engine's threads; `close` calls this."""
         del kwargs
         self._body.close()
 
