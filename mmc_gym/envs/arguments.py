@@ -69,7 +69,8 @@ class ReachArguments(ArmParameters):
     @property
     def arm(self) -> ArmParameters:
         """The parameters of the arm."""
-        return ArmParameters(**{one.name: getattr(self, one.name) for one in fields(ArmParameters)})
+        names = [field.name for field in fields(ArmParameters)]
+        return ArmParameters(**{name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,10 +145,10 @@ def takes(
 
     An unknown argument raises a `UserError` that suggests the nearest one.
     """
-    of_arm = {one.name for one in fields(ArmParameters)}
-    own = inspect.signature(kind, eval_str=True).parameters.values()
-    parameters = sorted(own, key=lambda one: (one.kind, one.name in of_arm))
-    names = [one.name for one in parameters]
+    of_arm = {field.name for field in fields(ArmParameters)}
+    parameters = [*inspect.signature(kind, eval_str=True).parameters.values()]
+    parameters.sort(key=lambda parameter: (parameter.kind, parameter.name in of_arm))
+    names = [parameter.name for parameter in parameters]
 
     def decorate(
         initialize: Callable[[Self, Taken], None],

@@ -116,9 +116,11 @@ class Family:
 
         The strength may be named as the family's function names it.
         """
-        _, own, *others = inspect.signature(self.apply).parameters
-        require_known(self.name, settings, (own, "strength", *others, "at", "over", "known"))
-        strength = settings.pop(own, strength)
+        _, strength_name, *others = inspect.signature(self.apply).parameters
+        require_known(
+            self.name, settings, (strength_name, "strength", *others, "at", "over", "known")
+        )
+        strength = settings.pop(strength_name, strength)
         number = self.default if strength is None else strength
         return Change(self, number, at, over, known, tuple(sorted(settings.items())))
 

@@ -64,13 +64,13 @@ class Part:
     def apply(self, arms: Arms, drawn: Floats, steps: Steps) -> None:
         """Change the arms that have drawn (n, m) to what they are after so many steps."""
         strength, at, over, *settings = self.numbers(drawn).values()
-        chosen, family = self.is_chosen(drawn), self.change.family
+        is_chosen, family = self.is_chosen(drawn), self.change.family
         strengths = np.full(len(drawn), strength, dtype=np.float64)
         if self.change.is_timed:
             share = _share_of(at, over, steps, arms.base.control_step)
             if family.neutral is not None:
                 strengths = family.neutral + share * (strengths - family.neutral)
-            chosen &= share > 0
+            is_chosen &= share > 0
         names = [name for name, _ in self.change.settings]
 
         def more(rows: Any) -> dict[str, Any]:
@@ -78,12 +78,12 @@ class Part:
             values = [value[rows] if is_ else value for value, is_ in zip(settings, is_drawn)]
             return dict(zip(names, values, strict=True))
 
-        if chosen.all():
+        if is_chosen.all():
             family.apply(arms, strengths, **more(slice(None)))
-        elif chosen.any():
-            rows = arms.rows(chosen)
-            family.apply(rows, strengths[chosen], **more(chosen))
-            arms.write(chosen, rows)
+        elif is_chosen.any():
+            rows = arms.rows(is_chosen)
+            family.apply(rows, strengths[is_chosen], **more(is_chosen))
+            arms.write(is_chosen, rows)
 
     def spans(self, drawn: Floats, control_step: float) -> tuple[Any, Any]:
         """Return the first and the last control step in which it changes, (n,) or numbers."""
@@ -113,7 +113,7 @@ class Episodes:
                 continue
             place = self._place("choice", change, None)
             options = enumerate(change.options)
-            parts += [self._part(one, (place, number)) for number, one in options if one]
+            parts += [self._part(option, (place, number)) for number, option in options if option]
         self._touches = {part: self._find_touched(part) for part in parts}
         #: the columns of `Arms` that any of them overwrites
         self.touched: frozenset[str] = frozenset().union(*self._touches.values())
@@ -156,7 +156,7 @@ class Episodes:
         return Part(change, places, option)
 
     def _place(self, name: str, distribution: Any, option: tuple[int, int] | None) -> int:
-        same = sum(one.name.partition("#")[0] == name for one in self.strengths)
+        same = sum(strength.name.partition("#")[0] == name for strength in self.strengths)
         name = f"{name}#{same + 1}" if same else name
         are_whole = not (distribution.ppf(np.linspace(0.01, 0.99, 50)) % 1).any()
         whole = getattr(distribution, "whole", are_whole)
@@ -208,19 +208,21 @@ class Episodes:
     def numbers(self, uniform: Floats) -> Floats:
         """Return the m drawn numbers of k arms, (k, m), from uniform numbers in [0, 1), (k, m)."""
         drawn = np.empty_like(uniform)
-        for place, one in enumerate(self.strengths):
-            drawn[:, place] = np.clip(one.distribution.ppf(uniform[:, place]), one.low, one.high)
+        for place, strength in enumerate(self.strengths):
+            drawn[:, place] = np.clip(
+                strength.distribution.ppf(uniform[:, place]), strength.low, strength.high
+            )
         return drawn
 
     def context(self, numbers: Floats) -> dict[str, Any]:
         """Return the drawn numbers (..., m) by name; NaN where their option was not chosen."""
         context = {}
-        for place, one in enumerate(self.strengths):
+        for place, strength in enumerate(self.strengths):
             column = numbers[..., place]
-            if one.option is not None:
-                choice, option = one.option
+            if strength.option is not None:
+                choice, option = strength.option
                 column = np.where(numbers[..., choice] == option, column, np.nan)
-            context[one.name] = np.array(column) if np.ndim(column) else float(column)
+            context[strength.name] = np.array(column) if np.ndim(column) else float(column)
         return context
 
     def drawn(self, randoms: Sequence[np.random.Generator], context: Floats | None) -> Floats:
@@ -245,15 +247,19 @@ class Episodes:
         count, random = len(self.strengths), np.random.default_rng(0)
         others = self.numbers(np.vstack([np.full(count, 0.5), random.random((_SAMPLES, count))]))
         corners, single = np.empty((_CORNERS, count)), []
-        for place, one in enumerate(self.strengths):
-            is_few = one.high - one.low <= _FEW and one.whole
-            ends = np.arange(one.low, one.high + 1) if is_few else (one.low, one.high)
+        for place, strength in enumerate(self.strengths):
+            is_few = strength.high - strength.low <= _FEW and strength.whole
+            ends = (
+                np.arange(strength.low, strength.high + 1)
+                if is_few
+                else (strength.low, strength.high)
+            )
             corners[:, place] = random.permutation(np.resize(ends, _CORNERS))
             for end in ends:
                 single.append(others[0].copy())
                 single[-1][place] = end
-                if one.option is not None:
-                    single[-1][one.option[0]] = one.option[1]
+                if strength.option is not None:
+                    single[-1][strength.option[0]] = strength.option[1]
         rows = dict.fromkeys(map(tuple, (*others, *single, *corners)))
         return np.array([*rows]).reshape(len(rows), count)
 
@@ -307,7 +313,7 @@ class Episodes:
 
         A strength that no perturbation sets is the one that changes nothing, or else shown as 0.
         """
-        low, high = np.array([[one.low, one.high] for one in self.strengths]).T
+        low, high = np.array([[strength.low, strength.high] for strength in self.strengths]).T
         numbers, options = (low + high) / 2, set()
         left = [part for part in self.in_order if part.places or part.option]
         for part in left:
@@ -317,7 +323,7 @@ class Episodes:
         for change in changes:
             fits = [part for part in left if _strength_in(part.change, change) is not None]
             if fits:
-                part = min(fits, key=lambda one: _misfit(one.change, change))
+                part = min(fits, key=lambda part: _misfit(part.change, change))
                 left.remove(part)
                 options.add(part.option)
                 values = {**change.numbers, change.family.name: _strength_in(part.change, change)}
@@ -333,13 +339,15 @@ class Episodes:
 
     def _shown(self, numbers: Floats, is_chosen: Callable[[int, int], Any]) -> NDArray[np.float32]:
         columns = []
-        for place, one in enumerate(self.strengths):
-            if isinstance(one.distribution, OneOf):
-                options = enumerate(one.distribution.options)
+        for place, strength in enumerate(self.strengths):
+            if isinstance(strength.distribution, OneOf):
+                options = enumerate(strength.distribution.options)
                 columns += [1.0 * is_chosen(place, k) for k, option in options if option]
                 continue
-            share = (numbers[..., place] - one.low) / ((one.high - one.low) or 1.0)
-            columns.append((2 * share - 1) * (is_chosen(*one.option) if one.option else 1.0))
+            share = (numbers[..., place] - strength.low) / ((strength.high - strength.low) or 1.0)
+            columns.append(
+                (2 * share - 1) * (is_chosen(*strength.option) if strength.option else 1.0)
+            )
         return np.stack(columns, axis=-1).astype(np.float32)
 
     def drawn_changes(self, numbers: Floats) -> list[Change]:

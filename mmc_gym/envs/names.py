@@ -174,12 +174,12 @@ def as_plain(value: Any) -> Any:
         plain = {name: as_plain(number) for name, number in more.items()}
         return {"family": value.family.name, "strength": as_plain(value.strength), **plain}
     if isinstance(value, Range | InUnits):
-        return {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
+        return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
     if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
         return {"name": value.dist.name, "args": list(value.args), **value.kwds}
     if _TASK_KINDS.get(type(value).__name__) is not type(value):
         return value
-    entries = {one.name: as_plain(getattr(value, one.name)) for one in fields(value)}
+    entries = {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
     return {"name": type(value).__name__, **entries}
 
 

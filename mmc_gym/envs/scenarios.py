@@ -48,12 +48,12 @@ class Scenario:
     @property
     def name(self) -> str:
         """The name for task and perturbations together, with strengths."""
-        return "+".join(one.name for one in self._named)
+        return "+".join(named.name for named in self._named)
 
     @property
     def description(self) -> str:
         """One line that describes task and perturbations."""
-        return "; ".join(one.description for one in self._named)
+        return "; ".join(named.description for named in self._named)
 
     @property
     def _named(self) -> tuple[TaskEntry | Change, ...]:
@@ -106,9 +106,9 @@ class Scenario:
         self.refuse(more, "task", *(["perturbations"] if self.changes else []))
         return replace(self, arguments={**self.arguments, **more})
 
-    def refuse(self, arguments: Mapping[str, Any], *own: str) -> None:
-        """Raise a `UserError` if one of the arguments is in `own`, which the scenario sets."""
-        for name in own:
+    def refuse(self, arguments: Mapping[str, Any], *names: str) -> None:
+        """Raise a `UserError` if one of the arguments is in `names`, which the scenario sets."""
+        for name in names:
             if name in arguments:
                 raise UserError(
                     f"{name} must be left out, as the scenario {self.name!r} sets it; a name may "
@@ -125,8 +125,8 @@ class Scenario:
         env_id, arguments = self.for_gymnasium(control)
         if arguments.get("terminate_on_success"):
             return None
-        made: AnyVectorEnv = gym.make_vec(env_id, num_envs=count, **arguments)
-        return made.unwrapped
+        envs: AnyVectorEnv = gym.make_vec(env_id, num_envs=count, **arguments)
+        return envs.unwrapped
 
     def for_gymnasium(self, control: str | None = None) -> tuple[str, dict[str, Any]]:
         """Return the id and the arguments with which Gymnasium makes the environment."""
@@ -207,13 +207,13 @@ class OwnEnvironment:
         """
         arguments = dict(self.arguments)
         try:
-            made = self._made(arguments if control is None else {**arguments, "control": control})
+            env = self._made(arguments if control is None else {**arguments, "control": control})
         except TypeError as error:
             if control is None or self._is_ours:
                 raise _not_accepted(self.name, error) from error
             arguments.pop("control", None)  # another mistake will be raised again
             return replace(self, arguments=arguments).make()
-        return made if self.interface is None else InterfacedEnv(made, self.interface)
+        return env if self.interface is None else InterfacedEnv(env, self.interface)
 
     def make_vec(self, count: int, control: str | None = None) -> AnyVectorEnv | None:
         """Make the native vector environment; None if there is none, or its arms end apart."""
@@ -222,8 +222,8 @@ class OwnEnvironment:
         if has_none or self.arguments.get("terminate_on_success"):
             return None
         arguments = {**self.arguments, **({} if control is None else {"control": control})}
-        made: AnyVectorEnv = gym.make_vec(name_of(self.env), num_envs=count, **arguments)
-        return made.unwrapped
+        envs: AnyVectorEnv = gym.make_vec(name_of(self.env), num_envs=count, **arguments)
+        return envs.unwrapped
 
     @property
     def _is_ours(self) -> bool:
@@ -249,10 +249,10 @@ class OwnEnvironment:
         if isinstance(make, gym.Env) or not callable(make):
             accepted = "an id, the name of a scenario, or a function that returns an environment"
             raise UserError(f"env must be {accepted}, got {shown(make)}")
-        made: gym.Env[Any, Any] = make(**arguments)
+        env: gym.Env[Any, Any] = make(**arguments)
         accepted = "a function that returns an environment"
-        require(isinstance(made, gym.Env), name_of(self.env), made, accepted)
-        return made
+        require(isinstance(env, gym.Env), name_of(self.env), env, accepted)
+        return env
 
 
 Playable: TypeAlias = Scenario | OwnEnvironment
@@ -295,13 +295,13 @@ def parse_environment(
     arguments = require_arguments("env_kwargs", arguments)
     if isinstance(env, Scenario | OwnEnvironment):
         return env.with_arguments(**arguments)
-    found: Playable
+    playable: Playable
     if _is_name(env):
-        found = parse_scenario(str(env), **arguments)
+        playable = parse_scenario(str(env), **arguments)
     else:
-        found = OwnEnvironment(name_of(env), env, arguments, interface)
-    refuse_interface(interface, found)
-    return found
+        playable = OwnEnvironment(name_of(env), env, arguments, interface)
+    refuse_interface(interface, playable)
+    return playable
 
 
 def find_scenario(env: EnvLike | Playable) -> Playable:
@@ -316,9 +316,13 @@ def _is_name(env: object) -> bool:
     return isinstance(env, str) and env not in gym.registry and not re.search(r":|-v\d+$", env)
 
 
-def refuse_interface(interface: Any, *played: Playable) -> None:
+def refuse_interface(interface: Any, *playables: Playable) -> None:
     """Raise a `UserError` if an interface is given for environments of this package."""
-    shipped = [one.name for one in played if isinstance(one, Scenario) or one._is_ours]
+    shipped = [
+        playable.name
+        for playable in playables
+        if isinstance(playable, Scenario) or playable._is_ours
+    ]
     if interface is not None and shipped:
         names = ", ".join(shipped[:3]) + ", …" * (len(shipped) > 3)
         raise UserError(f"interface must be left out for scenarios of this package, got {names}")
@@ -340,10 +344,10 @@ def make(name: str, **arguments: Any) -> gym.Env[Any, Any]:
 
 def make_vec(name: str, num_envs: int = 1, **arguments: Any) -> AnyVectorEnv:
     """Make many environments of a scenario, or of an id, by `gym.make_vec`; see `make`."""
-    env_id, given = name, arguments
+    env_id, env_arguments = name, arguments
     if _is_name(name):
-        env_id, given = parse_scenario(name, **arguments).for_gymnasium()
-    return _gymnasium(gym.make_vec, name, env_id, {**given, "num_envs": num_envs})
+        env_id, env_arguments = parse_scenario(name, **arguments).for_gymnasium()
+    return _gymnasium(gym.make_vec, name, env_id, {**env_arguments, "num_envs": num_envs})
 
 
 class _NoEnvironment(UserError):
@@ -392,7 +396,7 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
 
     def declared(value: Any) -> dict[str, Any]:
         if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
-            return {one.name: getattr(value, one.name) for one in fields(value)}
+            return {field.name: getattr(value, field.name) for field in fields(value)}
         return dict(vars(value)) if hasattr(value, "__dict__") else {"value": repr(value)}
 
     def plain(value: Any) -> Any:

@@ -432,8 +432,8 @@ class ReachEnvironment:
         if registered is not None:
             self._check_length(registered)
         if spec is not None:
-            kept = spec.kwargs.keys() & {"task", "perturbations", "observe_context"}
-            spec.kwargs = {**spec.kwargs, **{name: as_plain(spec.kwargs[name]) for name in kept}}
+            names = spec.kwargs.keys() & {"task", "perturbations", "observe_context"}
+            spec.kwargs = {**spec.kwargs, **{name: as_plain(spec.kwargs[name]) for name in names}}
             # Gymnasium leaves a vector's spec as it was registered.
             spec.max_episode_steps = getattr(self, "max_episode_steps", spec.max_episode_steps)
         self._spec = spec

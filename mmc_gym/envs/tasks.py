@@ -86,11 +86,11 @@ class Task(ABC):
 
     def check_hooks(self) -> None:
         """Raise a `UserError` if the class seems to misspell `draw`, and overrides no method."""
-        own = vars(type(self))
-        found = nearest("draw", [name for name, one in own.items() if callable(one)])
+        members = vars(type(self))
+        misspelt = nearest("draw", [name for name, value in members.items() if callable(value)])
         hooks = {"start", "trial_count", "check", "draw"}
         name = f"a method of {type(self).__name__}"
-        require(not found or bool(hooks & own.keys()), name, found, "draw(self, request)")
+        require(not misspelt or bool(hooks & members.keys()), name, misspelt, "draw(self, request)")
 
     @abstractmethod
     def draw(self, request: Request) -> Trial:
@@ -254,9 +254,11 @@ class Pursuit(Task):
         require_finite("amplitude", self.amplitude)
         for name in ("multiples_x", "multiples_y"):
             multiples = getattr(self, name)
-            fine = isinstance(multiples, Sequence) and bool(multiples)
-            fine = fine and all(is_whole(multiple) and multiple >= 1 for multiple in multiples)
-            require(fine, name, multiples, "whole numbers of at least 1, one or more")
+            are_accepted = isinstance(multiples, Sequence) and bool(multiples)
+            are_accepted = are_accepted and all(
+                is_whole(multiple) and multiple >= 1 for multiple in multiples
+            )
+            require(are_accepted, name, multiples, "whole numbers of at least 1, one or more")
 
     @override
     def draw(self, request: Request) -> Trial:

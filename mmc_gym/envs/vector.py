@@ -151,14 +151,16 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         mask = check_mask(mask, self.num_envs)
         arms, checked = np.flatnonzero(mask), self.setup.check_options(options, self.num_envs)
         seeds = check_seeds(seed, self.num_envs)
-        seeds = [seed if chosen else None for seed, chosen in zip(seeds, mask, strict=True)]
+        seeds = [seed if is_reset else None for seed, is_reset in zip(seeds, mask, strict=True)]
         generators = [
             old if seed is None else seeding.np_random(seed)
             for *old, seed in zip(self._randoms, self._seeds, seeds, strict=True)
         ]
         if checked.context is not None:
             checked.context[~mask] = np.nan
-            beyond = self.setup.episodes_beyond(checked.context, [one for one, _ in generators])
+            beyond = self.setup.episodes_beyond(
+                checked.context, [random for random, _ in generators]
+            )
             names = [strength.name for strength in self.setup.episodes.strengths]
             accepted = "such that this vector's arms can have it: make one with wider ranges"
             for arm, episode in beyond.items():
@@ -264,7 +266,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if name in ("np_random", "np_random_seed"):
             return tuple(value)
         if name == "context":
-            return tuple({key: one[arm] for key, one in value.items()} for arm in self._all)
+            return tuple({key: column[arm] for key, column in value.items()} for arm in self._all)
         return (value(*args, **kwargs) if callable(value) else value,) * self.num_envs
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
@@ -274,7 +276,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def set_attr(self, name: str, values: Any) -> None:
         """Set an attribute to one value, or to a list of n equal ones: all arms share it."""
         of_arms = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        are_equal = len(of_arms) == self.num_envs and all(one == of_arms[0] for one in of_arms)
+        are_equal = len(of_arms) == self.num_envs and all(
+            value_of_arm == of_arms[0] for value_of_arm in of_arms
+        )
         require(are_equal, name, values, f"one value, or a list of {self.num_envs} equal values")
         setattr(self, name, of_arms[0])
 
@@ -311,9 +315,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._noise.begin(arms, noise)
         is_alone = np.full(len(arms), not is_together) | drawn.obstacles.astype(bool)
         if len(rows := np.flatnonzero(~is_alone)):
-            some = [randoms[row] for row in rows]
+            generators = [randoms[row] for row in rows]
             trials = uniform[rows, count:]
-            is_alone[rows] = ~self._place_many(arms[rows], some, trials, drawn.rows(rows))
+            is_alone[rows] = ~self._place_many(arms[rows], generators, trials, drawn.rows(rows))
         if is_together:
             for row in np.flatnonzero(is_alone):
                 randoms[row].bit_generator.advance(-more)
@@ -347,8 +351,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         cursor = Cursor.of(drawn, setup.episodes.touched) if setup.has_cursor else None
         left, numbers = np.arange(len(arms)), uniform[:, count:]
         for tried in range(1, MOST_TARGETS + 1):
-            some = None if cursor is None else cursor.rows(left)
-            self._paths[arms[left], 0], is_reached = targets_from(numbers, places[left], some)
+            cursors = None if cursor is None else cursor.rows(left)
+            self._paths[arms[left], 0], is_reached = targets_from(numbers, places[left], cursors)
             left = left[~is_reached]
             if not len(left) or tried == MOST_TARGETS:
                 break
@@ -575,7 +579,7 @@ def pick(observation: Any, arms: Any) -> Any:
 def of_arms(values: Any, arms: Indices) -> Any:
     """Return what an info has for these arms."""
     if isinstance(values, dict):
-        return {name: one[arms] for name, one in values.items() if not name.startswith("_")}
+        return {name: column[arms] for name, column in values.items() if not name.startswith("_")}
     return values[arms]
 
 
@@ -584,7 +588,7 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
     infos: dict[str, Any] = {}
     everywhere = mask.all()
     masks = np.repeat(mask[None], len(info), axis=0)  # no two infos are one array
-    for (name, values), own in zip(info.items(), masks, strict=True):
+    for (name, values), is_set in zip(info.items(), masks, strict=True):
         if isinstance(values, dict):
             infos[name] = spread(values, mask)
         elif everywhere:
@@ -592,7 +596,7 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
         else:
             infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)
             infos[name][mask] = values
-        infos[f"_{name}"] = own
+        infos[f"_{name}"] = is_set
     return infos
 
 
@@ -600,9 +604,9 @@ def check_mask(mask: Any, count: int) -> Bools:
     """Return the mask of the arms to reset; None selects all.  Raise a `UserError` otherwise."""
     if mask is None:
         return np.ones(count, dtype=bool)
-    fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
+    is_mask = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
     accepted = f"a numpy array of {count} bools, not all False"
-    require(fine and bool(mask.any()), "options['reset_mask']", mask, accepted)
+    require(is_mask and bool(mask.any()), "options['reset_mask']", mask, accepted)
     return np.array(mask)
 
 
@@ -610,9 +614,9 @@ def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int
     """Return a seed or None for each arm, or raise a `UserError`; one number starts a sequence."""
     if seed is None:
         return [None] * count
-    given: Any = range(seed, seed + count) if is_whole(seed) else seed
-    seeds = list(given) if np.iterable(given) else []
-    whole = all(one is None or (is_whole(one) and one >= 0) for one in seeds)
+    numbers: Any = range(seed, seed + count) if is_whole(seed) else seed
+    seeds = list(numbers) if np.iterable(numbers) else []
+    whole = all(number is None or (is_whole(number) and number >= 0) for number in seeds)
     accepted = f"a whole number of at least 0, or {count} of them"
     require(whole and len(seeds) == count, "seed", seed, accepted)
-    return [None if one is None else int(one) for one in seeds]
+    return [None if number is None else int(number) for number in seeds]

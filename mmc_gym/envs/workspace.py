@@ -101,9 +101,9 @@ class Workspace:
         """
         radius = self.body.segment_radius
         is_free = all(math.dist(hand, disc[:2]) > disc[2] + radius for disc in self.body.obstacles)
-        fine = is_free and self._is_in_ring(point) and self._is_in_ring(hand)
-        if not fine or posture is None or not self.locked:
-            return fine
+        is_inside = is_free and self._is_in_ring(point) and self._is_in_ring(hand)
+        if not is_inside or posture is None or not self.locked:
+            return is_inside
         base, lengths = self._rigid_pieces(posture)
         inner, outer = reachable_radii(lengths) if lengths else (0.0, 0.0)
         slack = REACH_TOLERANCE * self.outer
@@ -143,10 +143,10 @@ class Workspace:
         raise self._no_target()
 
     def _no_target(self) -> NoTarget:
-        body, given = self.body, self.given_body
+        body, given_body = self.body, self.given_body
         return NoTarget(
             "perturbations must leave targets in reach, got segment_lengths "
-            f"{body.segment_lengths}, given as {given.segment_lengths}, locked joints "
+            f"{body.segment_lengths}, given as {given_body.segment_lengths}, locked joints "
             f"{self.locked}, joint_limits {body.joint_limits}, obstacles {body.obstacles} and "
             f"cursor {self.cursor}"
         )
@@ -262,7 +262,7 @@ def targets_from(
     base, inner, outer = places[:, :2].T, places[:, 4], places[:, 5]
     hands: Any = base + _points_from(uniform, places[:, 2], places[:, 3])
     targets: Any = hands
-    fine, slack = np.ones(len(places), dtype=bool), REACH_TOLERANCE * outer
+    is_reached, slack = np.ones(len(places), dtype=bool), REACH_TOLERANCE * outer
     if cursor is not None:
         x, y = hands
         targets = cursor.at(x, y, (x, y))
@@ -270,8 +270,8 @@ def targets_from(
     for x, y in (targets, hands) if cursor is not None or base.any() else ():
         # Not numpy's root, which may differ in the last bit.
         radii = np.array([*map(math.hypot, x.tolist(), y.tolist())])
-        fine &= (inner - slack <= radii) & (radii <= outer + slack)
-    return np.stack(targets, axis=-1), fine
+        is_reached &= (inner - slack <= radii) & (radii <= outer + slack)
+    return np.stack(targets, axis=-1), is_reached
 
 
 def _pieces_of(nodes: Sequence[Any], locked: Sequence[int]) -> tuple[Any, list[float]]:
@@ -289,10 +289,10 @@ def _points_from(uniform: Floats, inner: Any, outer: Any) -> tuple[Floats, Float
     return radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
 
 
-def rings(lengths: Sequence[Any], given: Sequence[float]) -> tuple[Any, Any]:
+def rings(lengths: Sequence[Any], given_lengths: Sequence[float]) -> tuple[Any, Any]:
     """Return `shared_ring` of arms of `lengths`, numbers or (k,), and of one of `given` lengths."""
     reach, longest = reduce(add, lengths), reduce(np.maximum, lengths)
-    inner, outer = reachable_radii(given)
+    inner, outer = reachable_radii(given_lengths)
     return np.maximum(np.maximum(0.0, 2 * longest - reach), inner), np.minimum(reach, outer)
 
 
