@@ -107,6 +107,10 @@ class SingleArm(ABC):
     def lock(self) -> None:
         """Make the `lockable_joints` rigid at their present angles, until the next reset."""
 
+    @abstractmethod
+    def unlock(self) -> None:
+        """Let locked joints turn again."""
+
     def confine(self, start: Sequence[float], end: Sequence[float]) -> None:
         """Let walls confine the hand to the line from start to end (x, y), until the next reset."""
         raise UserError('engine must be "pymunk" for a channel, which the analytic engine has not')
@@ -225,6 +229,10 @@ class ArmBatch(ABC):
         """Make the `lockable_joints` of arms with these indices rigid, see `SingleArm.lock`."""
         self._lock(self._indices(arms))
 
+    def unlock(self, arms: ArrayLike) -> None:
+        """Let the locked joints of arms with these indices turn again."""
+        self._unlock(self._indices(arms))
+
     def confine(self, arms: ArrayLike, starts: Floats, ends: Floats) -> None:
         """Confine k hands to lines from starts to ends, (k, 2), see `SingleArm.confine`."""
         raise UserError('engine must be "pymunk" for a channel, which the analytic engine has not')
@@ -263,6 +271,9 @@ class ArmBatch(ABC):
 
     @abstractmethod
     def _lock(self, arms: Indices) -> None: ...
+
+    @abstractmethod
+    def _unlock(self, arms: Indices) -> None: ...
 
     @abstractmethod
     def _load(self, parameters: ArmParameters, arms: Indices) -> None: ...

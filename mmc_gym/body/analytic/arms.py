@@ -223,6 +223,10 @@ class AnalyticArmBatch(ArmBatch):
         held[arms // self._lanes, joints, arms % self._lanes] = self.joint_angles[arms, joints]
 
     @override
+    def _unlock(self, arms: Indices) -> None:
+        self._state["held"][arms // self._lanes, :, arms % self._lanes] = np.nan
+
+    @override
     def _load(self, parameters: ArmParameters, arms: Indices) -> None:
         if len(self._chain) < len(self._state):
             self._chain = np.repeat(self._chain, len(self._state))
@@ -261,6 +265,10 @@ class AnalyticArm(SingleArm):
     @override
     def lock(self) -> None:
         self._arms.lock([0])
+
+    @override
+    def unlock(self) -> None:
+        self._arms.unlock([0])
 
     @override
     def load(self, parameters: ArmParameters) -> None:

@@ -175,6 +175,11 @@ class PymunkArm(SingleArm):
         self._linkage.lock(self.joint_angles)
 
     @override
+    def unlock(self) -> None:
+        self._history.append(("unlock",))
+        self._linkage.unlock()
+
+    @override
     def confine(self, start: Sequence[float], end: Sequence[float]) -> None:
         self._history.append(("confine", start, end))
         self._walls = Walls([self._linkage])

@@ -386,6 +386,12 @@ class PymunkArmBatch(ArmBatch):
                 group.linkages[member].lock(angles.tolist())
 
     @override
+    def _unlock(self, arms: Indices) -> None:
+        for group, _, members in self._by_group(arms):
+            for member in members:
+                group.linkages[member].unlock()
+
+    @override
     def confine(self, arms: ArrayLike, starts: Floats, ends: Floats) -> None:
         for group, part, members in self._by_group(self._indices(arms)):
             group.walls = group.walls or Walls(group.linkages)

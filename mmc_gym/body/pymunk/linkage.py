@@ -118,8 +118,7 @@ class Linkage:
         for stop, (low, high) in zip(self.stops, p.joint_limits or ()):
             chipmunk.cpRotaryLimitJointSetMin(stop, low)
             chipmunk.cpRotaryLimitJointSetMax(stop, high)
-        for _, lock in self.locks:
-            chipmunk.cpConstraintSetMaxForce(lock._constraint, 0.0)
+        self.unlock()
         self.force_limits = [*map(chipmunk.cpConstraintGetMaxForce, self.joint_handles)]
 
     def load(self, space: pymunk.Space, parameters: ArmParameters) -> None:
@@ -212,6 +211,12 @@ class Linkage:
                 continue
             chipmunk.cpGearJointSetPhase(lock._constraint, joint_angles[joint])
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
+
+    def unlock(self) -> None:
+        """Open the locks."""
+        self.locked = False
+        for _, lock in self.locks:
+            chipmunk.cpConstraintSetMaxForce(lock._constraint, 0.0)
 
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
         """Move the joints from one Space to another without reordering those of any arm.
