@@ -166,11 +166,12 @@ def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
         draws = [env.reset(seed=seed)[1]["context"] for seed in range(EXAMPLES)]
         lines = (", ".join(f"{k} {v:.3g}" for k, v in one.items() if v == v) for one in draws)
         yield "for example", "\n".join(lines)
-    limits = setup.limits
-    for heading, delay in (("delay", limits.delay), ("delay of sight", limits.vision_delay)):
+    headings = {"delay": "delay", "vision_delay": "delay of sight"}
+    headings["action_delay"] = "delay of actions"
+    for column, delay in setup.limits.delays.items():
         if delay:
             late = 1000 * delay * setup.given_body.control_step
-            yield heading, f"{delay} control steps, {late:g} ms"
+            yield headings[column], f"{delay} control steps, {late:g} ms"
     yield "agents", "\n".join(_given(found, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
     seconds = task.episode_steps * setup.given_body.control_step

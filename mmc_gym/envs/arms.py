@@ -51,12 +51,31 @@ class Arms:
     obstacles: NDArray[np.object_]  #: tuples of discs (x, y, radius), (n,)
     lockable: Bools  #: which joints lock, (n, N)
     lock_time: Floats  #: when they lock, s after the start, (n,); NaN: never
+    unlock_time: Floats  #: when they are free again, (n,); NaN: never
     channel: Floats  #: curl of the field that a channel stands for, (n,); NaN: the hand is free
     turn: Floats  #: of the cursor about its centre: turns, mirrors and gains, (n, 2, 2)
     shift: Floats  #: of the turned cursor, (n, 2)
     clamp: Floats  #: direction of the cursor, degrees from that of the target, (n,); NaN: free
     jump: Floats  #: of the cursor across the way to the target, as a share of the way, (n,)
     jump_after: Floats  #: share of the way after which the cursor jumps, (n,)
+    action_dropped: Floats  #: probability that a motor's action is dropped, (n,)
+    action_dropped_steps: Floats  #: control steps for which it then is, (n,)
+    action_held: Floats  #: probability that a motor's action stays as before, (n,)
+    action_held_steps: Floats  #: control steps for which it then does, (n,)
+    action_repeated: Floats  #: probability that an action is repeated, (n,)
+    action_repeated_steps: Floats  #: how often it then is, (n,)
+    action_delay: Floats  #: of actions, s, (n,)
+    motor_gain: Floats  #: factor of actions, (n, N)
+    motor_offset: Floats  #: added to actions, which are within ±1, (n, N)
+    action_noise: Floats  #: standard deviation of actions, (n,)
+    action_noise_size: Floats  #: its increase with the size of the action, (n,)
+    dead_zone: Floats  #: size below which actions do nothing, (n,)
+    backlash: Floats  #: by which actions must turn back until a motor follows, (n,)
+    motor_stuck: Bools  #: which motors hold their last action, (n, N)
+    joint_stuck: Bools  #: which joints are felt where they were before, (n, N)
+    joint_offset: Floats  #: of felt joint angles, rad, (n, N)
+    joint_drift: Floats  #: speed with which the offset grows, rad/s, (n, N)
+    encoder: Floats  #: counts in a turn of the sensors of joint angles, (n,); 0: exact
     joint_noise: Floats  #: standard deviation of joint angles, rad, (n,)
     joint_noise_speed: Floats  #: its increase with the joint's speed, s, (n,)
     vision_noise: Floats  #: standard deviation of the seen hand and target, (n,)
@@ -64,6 +83,13 @@ class Arms:
     delay: Floats  #: of all senses, s, (n,)
     vision_delay: Floats  #: of sight, besides, s, (n,)
     hidden: Floats  #: 0: the hand is seen; 1: never; 2: only where a movement ends, (n,)
+    observation_noise: Floats  #: standard deviation of the numbers of an observation, (n,)
+    number_dropped: Floats  #: probability that a number of the observation is 0, (n,)
+    number_dropped_steps: Floats  #: control steps for which it then is, (n,)
+    number_held: Floats  #: probability that a number of the observation stays as before, (n,)
+    number_held_steps: Floats  #: control steps for which it then does, (n,)
+    observation_repeated: Floats  #: probability that an observation is repeated, (n,)
+    observation_repeated_steps: Floats  #: how often it then is, (n,)
     start: Floats  #: of all movements, in reaches, (n, 2); the base if starts differ
     given_lengths: Floats  #: of the segments, as agents are given them, (n, N)
 
@@ -73,7 +99,10 @@ class Arms:
         count = len(base.segment_lengths)
         columns: dict[str, Any] = {name: np.zeros(1) for name in _COLUMNS}
         columns |= {name: np.array([getattr(base, name)]) for name in _NUMBERS}
-        columns |= {name: np.full(1, np.nan) for name in ("lock_time", "channel", "clamp")}
+        columns |= {name: np.full(1, np.nan) for name in _NEVER}
+        columns |= {name: np.zeros((1, count)) for name in _OF_JOINTS}
+        columns["motor_gain"] = np.ones((1, count))
+        columns |= {name: np.zeros((1, count), dtype=bool) for name in _STUCK}
         columns["segment_lengths"] = np.array([base.segment_lengths])
         columns["given_lengths"] = np.array([base.segment_lengths])
         columns["segment_masses"] = np.array([base.masses])
@@ -122,6 +151,17 @@ class Arms:
         """Where cursor and hand coincide, (n, 2): where movements begin, or the base."""
         return self.start * self.ring[1][:, None] if self.start.any() else self.start
 
+    def steps_of(self, delay: str) -> NDArray[np.intp]:
+        """Return a column of delays, s, in whole control steps, (n,)."""
+        return np.rint(getattr(self, delay) / self.base.control_step).astype(np.intp)
+
+    @property
+    def lock_steps(self) -> NDArray[np.intp]:
+        """Control steps after which joints lock, and are free again, (2, n); -1: never."""
+        times = np.stack([self.lock_time, self.unlock_time])
+        steps = np.rint(np.where(np.isnan(times), -1.0, times / self.base.control_step))
+        return steps.astype(np.intp)
+
     def turn_cursor(self, matrix: Matrix, centre: Sequence[float] | None = None) -> None:
         """Turn, mirror or stretch the cursor once more, about a centre (x, y) or its own."""
         away = 0.0 if centre is None else self.centre - np.asarray(centre)
@@ -130,15 +170,37 @@ class Arms:
         self.turn[:] = np.stack([turned for turned, _ in rows]).transpose(2, 0, 1)
         self.shift[:] = np.stack([shifted for _, shifted in rows], axis=-1) - away
 
-    def lock(self, joints: NDArray[np.intp], time: Any) -> None:
-        """Let one joint of each arm, (n,) indices, lock at a time, s, a number or (n,)."""
-        times = np.broadcast_to(time, len(self))
-        is_other = self.lockable.any(axis=1) & (self.lock_time != times)
-        if (is_other & (self.lock_time == self.lock_time)).any():
-            pair = sorted({*self.lock_time[is_other].tolist(), *times[is_other].tolist()})
-            raise UserError(f"locked joints must lock at one time, got the times {pair}")
-        self.lockable[np.arange(len(self)), joints] = True
-        self.lock_time[:] = times
+    def which(self, number: Any) -> Bools:
+        """Return which joint, or segment, has a number, (n, N); None: all.
+
+        Raises:
+            UserError: if there is no joint of such a number.
+        """
+        count = self.lockable.shape[1]
+        if number is None:
+            return np.ones((len(self), count), dtype=bool)
+        numbers, ahead = np.broadcast_to(number, len(self)), np.arange(1, count + 1)
+        accepted = f"from 1 to {count} (from the base), or from -{count} to -1 (from the hand)"
+        for joint in np.unique(numbers).tolist():
+            is_joint = joint in ahead or -joint in ahead
+            require(is_joint, "the number of the joint or segment", int(joint), accepted)
+        return np.equal(np.where(numbers < 0, numbers + count + 1, numbers)[:, None], ahead)
+
+    def lock(self, joints: Bools, time: Any, until: Any) -> None:
+        """Let joints, (n, N), lock at a time, s, and be free from another on, numbers or (n,)."""
+        is_locked = self.lockable.any(axis=1) & ~np.isnan(self.lock_time)
+        for column, word, value in (
+            (self.lock_time, "lock", time),
+            (self.unlock_time, "open", np.where(np.isinf(until), np.nan, until)),
+        ):
+            times = np.broadcast_to(value, len(self))
+            is_equal = (column == times) | ((column != column) & (times != times))
+            is_other = is_locked & ~is_equal
+            if is_other.any():
+                pair = sorted({*column[is_other].tolist(), *times[is_other].tolist()})
+                raise UserError(f"locked joints must {word} at one time, got the times {pair}")
+            column[:] = times
+        self.lockable |= joints
 
     def parameters(self, touched: frozenset[str], row: int = 0) -> ArmParameters:
         """Return the parameters of one arm, checked: those of the base, but for touched columns."""
@@ -159,6 +221,11 @@ class Arms:
         return ArmColumns(**values)
 
 
+DELAYS = ("delay", "vision_delay", "action_delay")
+"""The columns of what arrives late."""
+_NEVER = ("lock_time", "unlock_time", "channel", "clamp")
+_OF_JOINTS = ("motor_offset", "joint_offset", "joint_drift")
+_STUCK = ("motor_stuck", "joint_stuck")
 _COLUMNS = tuple(field.name for field in fields(Arms) if field.name != "base")
 _NUMBERS = ["gravity", "hand_mass", "speed_limit", "torque_limit", "servo_gain", "drive_inertia"]
 _NUMBERS += ["segment_radius", "substep", "substeps"]
@@ -167,9 +234,10 @@ _OF_BODY = frozenset(
 )
 BODY = _OF_BODY | {"lockable"}
 """The columns that the engine simulates."""
-_AT_START = BODY - {"hand_mass", "force_field"} | {"lock_time", "channel", "start", "given_lengths"}
+_AT_START = BODY - {"hand_mass", "force_field"} | {"channel", "start", "given_lengths"}
+_AT_START |= {"lock_time", "unlock_time"}
 IN_FLIGHT = frozenset(_COLUMNS) - _AT_START
-"""The columns that may change within an episode: of the load, the cursor and the senses."""
+"""The columns that may change within an episode: of the load, cursor, motors and senses."""
 
 
 def _differ(arms: Arms, other: Arms, name: str) -> bool:

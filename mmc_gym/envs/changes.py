@@ -102,6 +102,7 @@ class Family:
     is_given: bool = False  #: whether agents are always given it
     has_strength: bool = True  #: if not, there is one perturbation, without a number
     opposite: str = ""  #: name of the family whose negative strengths are this one's
+    of: str = ""  #: what its function's argument `of` counts (`-of-`), such as "motor"
 
     def __call__(
         self,
@@ -109,6 +110,7 @@ class Family:
         *,
         at: float | Distribution = 0.0,
         over: float | Distribution = 0.0,
+        until: float | Distribution = math.inf,
         known: bool = False,
         **settings: Any,
     ) -> Change:
@@ -117,12 +119,16 @@ class Family:
         The strength may be named as the family's function names it.
         """
         _, strength_name, *others = inspect.signature(self.apply).parameters
-        require_known(
-            self.name, settings, (strength_name, "strength", *others, "at", "over", "known")
-        )
+        names = (strength_name, "strength", *others, "at", "over", "until", "known")
+        require_known(self.name, settings, names)
         strength = settings.pop(strength_name, strength)
         number = self.default if strength is None else strength
-        return Change(self, number, at, over, known, tuple(sorted(settings.items())))
+        return Change(self, number, at, over, until, known, tuple(sorted(settings.items())))
+
+    @property
+    def takes_times(self) -> bool:
+        """Whether its function takes the times, and sees to them, as those of locks do."""
+        return "until" in inspect.signature(self.apply).parameters
 
     def __repr__(self) -> str:
         return f"<Family {self.name}>"
@@ -163,6 +169,7 @@ class Change:
     strength: float | Distribution
     at: float | Distribution = 0.0  #: when it begins, s after the start, rounded to control steps
     over: float | Distribution = 0.0  #: how long it grows, s, also rounded; 0: not at all
+    until: float | Distribution = math.inf  #: when it ends, s after the start, also rounded
     known: bool = False  #: whether agents are given the changed body
     settings: tuple[tuple[str, Any], ...] = ()  #: more arguments of the family's function
 
@@ -182,12 +189,15 @@ class Change:
             family._require(f"the strength of {name}", strength)
         if not isinstance(self.strength, Distribution):
             object.__setattr__(self, "strength", float(self.strength))
-        for time, seconds in (("at", self.at), ("over", self.over)):
-            for end in ends_of(seconds):
+        for time, seconds in (("at", self.at), ("over", self.over), ("until", self.until)):
+            for end in () if seconds == math.inf else ends_of(seconds):
                 require_between(0, LONGEST, **{time: end})
+        begins, (ends, _) = ends_of(self.at)[1] + ends_of(self.over)[1], ends_of(self.until)
+        require(ends > begins, "until", ends, f"later than it has begun and grown, at {begins:g} s")
         accepted = "a perturbation that can begin within an episode (cursors, senses, loads, "
         accepted += "force fields)"
-        require(not self.is_timed or family.begins, "what has -at- or -over-", name, accepted)
+        words = "what has -at-, -over- or -until-"
+        require(not self.is_timed or family.begins, words, name, accepted)
         can_grow = family.neutral is not None
         require(self.over == 0.0 or can_grow, "over", self.over, f"0, as {name} cannot grow")
         accepted = "False for what is drawn: agents are given their arm once"
@@ -199,13 +209,13 @@ class Change:
 
     @property
     def is_timed(self) -> bool:
-        """Whether it begins or grows within an episode."""
-        return not (_is_zero(self.at) and _is_zero(self.over))
+        """Whether it begins, grows or ends within an episode."""
+        return bool(self._timing)
 
     @property
     def numbers(self) -> dict[str, Any]:
         """All numbers, any of which may be drawn, by their names in a context."""
-        more = {"at": self.at, "over": self.over, **dict(self.settings)}
+        more = {"at": self.at, "over": self.over, "until": self.until, **dict(self.settings)}
         name = self.family.name
         return {name: self.strength, **{f"{name}.{key}": value for key, value in more.items()}}
 
@@ -233,37 +243,56 @@ class Change:
     def is_named(self) -> bool:
         """Whether its name says all of it, so that a file can hold it."""
         is_distribution = isinstance(self.strength, Distribution) and self.range is None
-        is_drawn = isinstance(self.at, Distribution) or isinstance(self.over, Distribution)
-        return not (self.settings or is_distribution or is_drawn)
+        numbers = [*dict(self.settings).values(), *(seconds for _, seconds in self._timing)]
+        is_drawn = any(isinstance(number, Distribution) for number in numbers)
+        return not (self._unnamed or is_distribution or is_drawn)
 
     @property
     def name(self) -> str:
         """The name for people and files: "longer-35-known"."""
         number = f"-{digits(self.strength)}" if self.family.has_strength else ""
-        more = ",".join(f"{key}={value}" for key, value in self.settings)
+        more = ",".join(f"{key}={value}" for key, value in self._unnamed)
         return f"{self.family.name}{number}{self.suffix}{f'({more})' if more else ''}"
+
+    @property
+    def of(self) -> Any:
+        """The number, from the base, of the joint, segment or motor that it changes; or None."""
+        return dict(self.settings).get("of")
+
+    @property
+    def _unnamed(self) -> list[tuple[str, Any]]:
+        """The settings that a name has no words for."""
+        return [(name, value) for name, value in self.settings if name not in ("of", "steps")]
 
     @property
     def suffix(self) -> str:
         """The end of the name, after the strength: "-at-1-over-2", "-known", or empty."""
-        timing = "".join(f"-{word}-{digits(seconds)}" for word, seconds in self._timing)
+        words = {"of": "of", "steps": "for"}
+        named = [(words[name], value) for name, value in self.settings if name in words]
+        timing = "".join(f"-{word}-{digits(value)}" for word, value in named)
+        timing += "".join(f"-{word}-{digits(seconds)}" for word, seconds in self._timing)
         return timing + ("-known" if self.known and self.family.known else "")
 
     @property
     def _timing(self) -> list[tuple[str, Any]]:
-        """The pairs ("at", start) and ("over", duration of growth), s, without those that are 0."""
-        timing = (("at", self.at), ("over", self.over))
-        return [(word, seconds) for word, seconds in timing if not _is_zero(seconds)]
+        """The pairs ("at", s), ("over", s) and ("until", s), without those that change nothing."""
+        timing = (("at", self.at, 0.0), ("over", self.over, 0.0), ("until", self.until, math.inf))
+        return [(word, seconds) for word, seconds, never in timing if seconds != never]
 
     @property
     def description(self) -> str:
         """One line that says what changes, and when."""
-        parts = [self.family.description.format(digits(self.strength))]
+        text = self.family.description.format(digits(self.strength))
+        parts = [text.removesuffix(" from the start") if self.at else text]
+        if self.of is not None:
+            parts.append(f"{self.family.of} {digits(self.of)} from the base")
+        if "steps" in dict(self.settings):
+            parts.append(f"for {digits(dict(self.settings)['steps'])} control steps")
         if self.family.known:
             parts.append("given to agents" if self.known else "not given to agents")
         if isinstance(self.strength, Distribution):
             parts.append("drawn for each episode")
-        words = {"at": "from {} s on", "over": "growing over {} s"}
+        words = {"at": "from {} s on", "over": "growing over {} s", "until": "until {} s"}
         parts += [words[word].format(digits(seconds)) for word, seconds in self._timing]
         return ", ".join(parts)
 
@@ -331,7 +360,3 @@ def digits(strength: Any) -> str:
 
 def _find(module: str, name: str) -> Any:
     return getattr(import_module(module), name)
-
-
-def _is_zero(seconds: Any) -> bool:
-    return not isinstance(seconds, Distribution) and seconds == 0.0

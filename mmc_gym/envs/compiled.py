@@ -1,10 +1,10 @@
 """A control step of many arms of the analytic engine in one go: movement, observation, reward.
 
 Each thread takes its arms through the whole step, so no thread reads what another has just written.
-`look_and_reward` repeats `ObservationLayout.encode` and `reward_and_info` operation by operation.
-Only the cosines and sines of the joint angles come from the engine instead of the C library.  Both
-are right to a unit in the last place of float64, so observations differ in the last place of a
-float32, once in some hundred million values.
+`_encode` repeats `ObservationLayout.encode`, and `look_and_reward` besides `reward_and_info`,
+operation by operation.  Only the cosines and sines of the joint angles come from the engine instead
+of the C library.  Both are right to a unit in the last place of float64, so observations differ in
+the last place of a float32, once in some hundred million values.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._compiling import compiled
+from mmc_gym._compiling import compiled, sine_cosine
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
-from mmc_gym.envs.reach import HALF_PRECISE
+from mmc_gym.envs.reward import HALF_PRECISE
 from mmc_gym.envs.setup import ReachSetup, State
-from mmc_gym.interface import OFFSET_SCALE
+from mmc_gym.interface import OFFSET_SCALE, Seen
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,8 @@ class Arms(NamedTuple):
     targets: Floats  #: positions, (n, 2)
     may_succeed: NDArray[np.bool_]  #: whether the target is the last one, (n,)
     speeds: Floats  #: of the joints before, then after the step, shares of the limit, (n, N)
-    observation: NDArray[np.float32]  #: (n, 3 N + 6), or (n, 3 N) of a goal environment
+    #: (n, 3 N + 6), or (n, 3 N) of a goal environment; (n, 0) where disturbed senses observe
+    observation: NDArray[np.float32]
     terms: Floats  #: distance, −distance, precision, control, smoothness, dense reward, (6, n)
     is_success: NDArray[np.bool_]  #: whether the target is reached, (n,)
 
@@ -81,6 +82,15 @@ class CompiledStep:
     def move(self, actions: NDArray[np.floating]) -> None:
         """Let all arms carry out their actions, (n, N)."""
         self._arms.share_out(partial(self._move, actions))
+
+    def observe(self, seen: Seen) -> NDArray[np.float32]:
+        """Return observations of n arms, (n, 3 N + 6), of what they sense."""
+        count, joints = seen.joint_angles.shape
+        observation = np.empty((count, 3 * joints + 6), np.float32)
+        parts = (seen.joint_angles, seen.joint_speeds, seen.hand, seen.target)
+        compact = map(np.ascontiguousarray, parts)  # the layout that the kernel is compiled for
+        write_observations(self._constants, *compact, observation)
+        return observation
 
     def _move(self, actions: NDArray[np.floating], first: int, last: int) -> None:
         _, scale, is_relative = self._action
@@ -131,6 +141,44 @@ class CompiledStep:
 
 
 @compiled
+def _encode(cosines, sines, speeds, hand, target, limits, observation):
+    """Write the observation of an arm; that of a goal environment ends before the target."""
+    joints = cosines.shape[0]
+    end = 3 * joints
+    for joint in range(joints):
+        observation[joint] = cosines[joint]
+        observation[joints + joint] = sines[joint]
+        observation[2 * joints + joint] = speeds[joint]
+    if end < observation.shape[0]:
+        cosine, sine = cosines[0], sines[0]
+        along, across = target[0] - hand[0], target[1] - hand[1]
+        x, y = cosine * along + sine * across, cosine * across - sine * along
+        scale = OFFSET_SCALE + math.sqrt(x * x + y * y)
+        observation[end] = cosine * target[0] + sine * target[1]
+        observation[end + 1] = cosine * target[1] - sine * target[0]
+        observation[end + 2] = x
+        observation[end + 3] = y
+        observation[end + 4] = x / scale
+        observation[end + 5] = y / scale
+    for place in range(limits.shape[0]):
+        observation[place] = min(max(observation[place], -limits[place]), limits[place])
+
+
+@compiled
+def write_observations(constants, joint_angles, joint_velocities, hands, targets, observation):
+    """Write the observations of n arms, given what they sense as in `Seen`."""
+    joints = joint_angles.shape[1]
+    cosines, sines, speeds = np.empty(joints), np.empty(joints), np.empty(joints)
+    for arm in range(joint_angles.shape[0]):
+        for joint in range(joints):
+            speed = joint_velocities[arm, joint] / constants.speed_limit
+            speeds[joint] = min(max(speed, -1.0), 1.0)
+            sines[joint], cosines[joint] = sine_cosine(joint_angles[arm, joint])
+        seen, limits = observation[arm], constants.limits
+        _encode(cosines, sines, speeds, hands[arm], targets[arm], limits, seen)
+
+
+@compiled
 def look_and_reward(first, last, constants, arms):
     """Write observations, rewards and their terms of the arms from `first` to before `last`.
 
@@ -142,11 +190,8 @@ def look_and_reward(first, last, constants, arms):
     hands, targets = arms.hands[first:last], arms.targets[first:last]
     may_succeed, is_success = arms.may_succeed[first:last], arms.is_success[first:last]
     observation, terms = arms.observation[first:last], arms.terms[:, first:last]
-    limits = constants.limits
     joints = cosines.shape[1]
-    end = 3 * joints
     for arm in range(last - first):
-        seen = observation[arm]
         squares = changes = 0.0
         for joint in range(joints):
             speed = velocities[arm, joint] / constants.speed_limit
@@ -155,24 +200,11 @@ def look_and_reward(first, last, constants, arms):
             squares += speed * speed
             changes += change * change
             speeds[arm, joint] = speed
-            seen[joint] = cosines[arm, joint]
-            seen[joints + joint] = sines[arm, joint]
-            seen[2 * joints + joint] = speed
-        target_x, target_y = targets[arm, 0], targets[arm, 1]
-        x, y = target_x - hands[arm, 0], target_y - hands[arm, 1]
+        x, y = targets[arm, 0] - hands[arm, 0], targets[arm, 1] - hands[arm, 1]
         distance = math.sqrt(x * x + y * y)
-        cosine, sine = cosines[arm, 0], sines[arm, 0]
-        if end < seen.shape[0]:
-            x, y = cosine * x + sine * y, cosine * y - sine * x
-            scale = OFFSET_SCALE + math.sqrt(x * x + y * y)
-            seen[end] = cosine * target_x + sine * target_y
-            seen[end + 1] = cosine * target_y - sine * target_x
-            seen[end + 2] = x
-            seen[end + 3] = y
-            seen[end + 4] = x / scale
-            seen[end + 5] = y / scale
-        for place in range(limits.shape[0]):
-            seen[place] = min(max(seen[place], -limits[place]), limits[place])
+        if observation.shape[1] > 0:
+            seen, limits = observation[arm], constants.limits
+            _encode(cosines[arm], sines[arm], speeds[arm], hands[arm], targets[arm], limits, seen)
         precision = constants.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
         control = -constants.control_weight * squares / joints
         smoothness = -constants.smoothness_weight * changes / joints

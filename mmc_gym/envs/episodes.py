@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
 
 EXAMPLES = 5  # episodes that are shown of a scenario that draws
-AT_LAST = 10**9  # control steps, after which nothing grows any more
 _CORNERS, _SAMPLES, _FEW = 64, 16, 20  # of the draws that are tried when an environment is made
-Steps = Any  # control steps since the start, a number or (n,)
+_AT_LAST = 10**9  # control steps
+Steps = Any  # control steps since the start, (n,); None: all that happens has its full strength
 
 
 class Strength(NamedTuple):
@@ -63,33 +63,32 @@ class Part:
 
     def apply(self, arms: Arms, drawn: Floats, steps: Steps) -> None:
         """Change the arms that have drawn (n, m) to what they are after so many steps."""
-        strength, at, over, *settings = self.numbers(drawn).values()
+        strength, at, over, until, *values = self.numbers(drawn).values()
         is_chosen, family = self.is_chosen(drawn), self.change.family
         strengths = np.full(len(drawn), strength, dtype=np.float64)
-        if self.change.is_timed:
-            share = _share_of(at, over, steps, arms.base.control_step)
+        names = [name for name, _ in self.change.settings]
+        settings = dict(zip(names, values, strict=True))
+        if family.takes_times:
+            settings |= {"at": at, "until": until}
+        elif self.change.is_timed and steps is not None:
+            share = _share_of(at, over, until, steps, arms.base.control_step)
             if family.neutral is not None:
                 strengths = family.neutral + share * (strengths - family.neutral)
             is_chosen &= share > 0
-        names = [name for name, _ in self.change.settings]
-
-        def more(rows: Any) -> dict[str, Any]:
-            is_drawn = [isinstance(value, np.ndarray) for value in settings]
-            values = [value[rows] if is_ else value for value, is_ in zip(settings, is_drawn)]
-            return dict(zip(names, values, strict=True))
-
         if is_chosen.all():
-            family.apply(arms, strengths, **more(slice(None)))
+            family.apply(arms, strengths, **settings)
         elif is_chosen.any():
-            rows = arms.rows(is_chosen)
-            family.apply(rows, strengths[is_chosen], **more(is_chosen))
+            rows, of_arms = arms.rows(is_chosen), [*settings.items()]
+            for name, value in of_arms:
+                settings[name] = value[is_chosen] if isinstance(value, np.ndarray) else value
+            family.apply(rows, strengths[is_chosen], **settings)
             arms.write(is_chosen, rows)
 
-    def spans(self, drawn: Floats, control_step: float) -> tuple[Any, Any]:
-        """Return the first and the last control step in which it changes, (n,) or numbers."""
-        _, at, over, *_ = self.numbers(drawn).values()
-        first = _in_steps(at, control_step)
-        return first, first + _in_steps(over, control_step)
+    def spans(self, drawn: Floats, control_step: float) -> list[tuple[Any, Any]]:
+        """Return first and last control steps between which it changes, each (n,) or a number."""
+        _, at, over, until, *_ = self.numbers(drawn).values()
+        first, end = _in_steps(at, control_step), _in_steps(until, control_step)
+        return [(first, first + _in_steps(over, control_step)), (end, end)]
 
 
 class Episodes:
@@ -121,7 +120,8 @@ class Episodes:
         self._plain.given_lengths[:] = self.given_body.segment_lengths
         #: in the order in which they are applied: cursors need the lengths of the segments
         self.parts = sorted(parts, key=lambda part: "segment_lengths" not in self._touches[part])
-        self._timed = [part for part in self.parts if part.change.is_timed]
+        timed = [part for part in self.parts if part.change.is_timed]
+        self._timed = [part for part in timed if not part.change.family.takes_times]
         #: columns that change within an episode
         self.in_flight: frozenset[str] = frozenset().union(*map(self.touches, self._timed))
         accepted = "such that the body changes within an episode by hand_mass and force_field only"
@@ -265,8 +265,11 @@ class Episodes:
 
     # Arms
 
-    def arms(self, numbers: Floats, steps: Steps = AT_LAST) -> Arms:
-        """Return the arms that have drawn numbers, (n, m), after so many control steps."""
+    def arms(self, numbers: Floats, steps: Steps = None) -> Arms:
+        """Return the arms that have drawn numbers, (n, m), after so many control steps.
+
+        Without steps, all that happens to them has its full strength.
+        """
         arms = self._plain.rows(np.zeros(len(numbers), dtype=np.intp))
         for part in self.parts:
             _apply(part, arms, numbers, steps)
@@ -276,14 +279,15 @@ class Episodes:
         """Return whether anything changed in the last of so many control steps, (n,)."""
         changed = np.zeros(len(numbers), dtype=bool)
         for part in self._timed:
-            first, last = part.spans(numbers, self.arm.control_step)
-            changed |= (first <= steps) & (steps <= last)
+            for first, last in part.spans(numbers, self.arm.control_step):
+                changed |= (first <= steps) & (steps <= last)
         return changed
 
     def spans(self, numbers: Floats) -> list[tuple[int, int]]:
         """Return the first and last control steps in which something changes, of numbers (m,)."""
-        spans = [part.spans(numbers[None], self.arm.control_step) for part in self._timed]
-        return [(int(np.ravel(first)[0]), int(np.ravel(last)[0])) for first, last in spans]
+        parts = [part.spans(numbers[None], self.arm.control_step) for part in self._timed]
+        ends = [(np.ravel(first)[0], np.ravel(last)[0]) for spans in parts for first, last in spans]
+        return [(int(first), int(last)) for first, last in ends if first < _AT_LAST]
 
     def moments(self, numbers: Floats) -> NDArray[np.intp]:
         """Return sorted control steps, between which little changes for an arm, of numbers (m,)."""
@@ -376,19 +380,20 @@ def _call(family: Family, arms: Arms, strengths: Floats, settings: Mapping[str, 
         raise UserError(f"the function of {family.name} fails for {count}: {reason}") from error
 
 
-def _share_of(at: Any, over: Any, steps: Steps, control_step: float) -> Any:
+def _share_of(at: Any, over: Any, until: Any, steps: Steps, control_step: float) -> Any:
     """Return the share (0 to 1) of the full strength of what begins `at` s and grows `over` s."""
     rise = _in_steps(over, control_step)
     since = steps - _in_steps(at, control_step) + (rise == 0)
-    return np.clip(since / np.maximum(rise, 1), 0.0, 1.0)
+    is_over = steps >= _in_steps(until, control_step)
+    return np.where(is_over, 0.0, np.clip(since / np.maximum(rise, 1), 0.0, 1.0))
 
 
 def _in_steps(seconds: Any, control_step: float) -> Any:
     """Return a time, or an array of times, in s as the nearest whole control steps."""
-    return np.rint(np.divide(seconds, control_step)).astype(int)
+    return np.minimum(np.rint(np.divide(seconds, control_step)), _AT_LAST).astype(int)
 
 
-def _apply(part: Part, arms: Arms, drawn: Floats, steps: Steps = AT_LAST) -> None:
+def _apply(part: Part, arms: Arms, drawn: Floats, steps: Steps = None) -> None:
     """Apply a perturbation to arms; an error message names the perturbation."""
     try:
         part.apply(arms, drawn, steps)
@@ -397,10 +402,10 @@ def _apply(part: Part, arms: Arms, drawn: Floats, steps: Steps = AT_LAST) -> Non
 
 
 def _with_numbers(change: Change, numbers: Sequence[float]) -> Change:
-    strength, at, over, *values = numbers
+    strength, at, over, until, *values = numbers
     names = [name for name, _ in change.settings]
     settings = tuple(zip(names, values, strict=True))
-    return replace(change, strength=strength, at=at, over=over, settings=settings)
+    return replace(change, strength=strength, at=at, over=over, until=until, settings=settings)
 
 
 def _strength_in(drawn: Change, change: Change) -> Any:

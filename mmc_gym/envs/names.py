@@ -2,14 +2,17 @@
 
 One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
 
-    [<task>+]<perturbation>[-<strength>|-<low>..<high>][-at-<s>][-over-<s>][-known][+<perturbation>…]
+    [<task>+]<perturbation>[-<strength>|-<low>..<high>][-of-<joint>][-for-<steps>]
+             [-at-<s>][-over-<s>][-until-<s>][-known][+<perturbation>…]
 
     random, centre-out, rotation-30, centre-out+rotation-30, longer-35-known+delay-160
     rotation-40+rotation--80-at-1, gain-1.4-over-2
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
 `force-field-60`).  From a range (`rotation--60..60`) each episode draws its strength.  With `-at-1`
-it begins 1 s after the start; with `-over-2` it grows for 2 s from no change to its strength.  With
+it begins 1 s after the start; with `-over-2` it grows for 2 s from no change to its strength; with
+`-until-1.5` it ends.  With `-of-2` it is that of the second joint, motor or segment;
+with `-for-5` what happens by chance lasts five control steps.  With
 `-known`, agents are given the changed body.  Without a task, the task is "random".  The
 same seeds then draw the same starts and targets as in `random`: episodes differ in the
 perturbations alone.
@@ -67,11 +70,32 @@ class TaskEntry:
         return TASKS.get(self.name) == self
 
 
+# Challenges
+
+CHALLENGES = {
+    "realworld-easy": "action-delay-60+delay-60+action-noise-0.1+observation-noise-0.1"
+    "+dropped-numbers-0.01+held-numbers-0.01+longer-0..11",
+    "realworld-medium": "action-delay-120+delay-120+action-noise-0.3+observation-noise-0.3"
+    "+dropped-numbers-0.05-for-5+held-numbers-0.05-for-5+repeated-actions-1+longer-0..78",
+    "realworld-hard": "action-delay-180+delay-180+action-noise-1+observation-noise-1"
+    "+dropped-numbers-0.1-for-10+held-numbers-0.1-for-10+repeated-actions-1-for-2+longer-0..144",
+}
+"""Several perturbations under one name, each with the name of them all.
+
+They are the combined challenges of the Real-World RL suite (Dulac-Arnold, Levine, Mankowitz et al.
+2021, Machine Learning 110:2419): delays of 3, 6 and 9 control steps; noise of actions and observed
+numbers; numbers dropped and held; each action applied once, twice or three times; and a longer
+segment, by as much as the walker's thigh.  Rewards are not late, and no numbers without meaning are
+observed.
+"""
+
 # Parsing
 
 _CHANGE = re.compile(
     r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?)(?:\.\.(?P<high>-?\d+(?:\.\d+)?))?)?"
-    r"(?:-at-(?P<at>\d+(?:\.\d+)?))?(?:-over-(?P<over>\d+(?:\.\d+)?))?(?P<known>-known)?"
+    r"(?:-of-(?P<of>\d+))?(?:-for-(?P<steps>\d+))?"
+    r"(?:-at-(?P<at>\d+(?:\.\d+)?))?(?:-over-(?P<over>\d+(?:\.\d+)?))?(?:-until-(?P<until>\d+(?:\.\d+)?))?"
+    r"(?P<known>-known)?"
 )
 
 
@@ -82,7 +106,8 @@ def parse_parts(name: object) -> tuple[TaskEntry, tuple[Change, ...]]:
     first, *others = task_ids().get(name, name).split("+")
     if first not in TASKS:
         first, others = BASELINE, [first, *others]
-    return TASKS[first], tuple(parse_change(other, "scenario") for other in others)
+    words = [part for other in others for part in CHALLENGES.get(other, other).split("+")]
+    return TASKS[first], tuple(parse_change(word, "scenario") for word in words)
 
 
 def parse_change(name: object, argument: str = "perturbations") -> Change:
@@ -103,8 +128,9 @@ def parse_change(name: object, argument: str = "perturbations") -> Change:
     high = match["high"]
     strength = low if high is None else Range(low, float(high), family.whole)
     try:
-        times = {word: float(match[word] or 0) for word in ("at", "over")}
-        return family(strength, known=match["known"] is not None, **times)
+        words = ("of", "steps", "at", "over", "until")
+        numbers = {word: float(match[word]) for word in words if match[word]}
+        return family(strength, known=match["known"] is not None, **numbers)
     except UserError as error:
         raise UserError(f"{argument} {name!r} is not possible: {error}") from error
 
@@ -133,7 +159,13 @@ def as_changes(perturbations: Any) -> list[AnyChange]:
     """Return one perturbation, or several, as a list of changes."""
     if isinstance(perturbations, str | Mapping) or not isinstance(perturbations, Sequence):
         perturbations = (perturbations,)
-    return [as_change(perturbation) for perturbation in perturbations]
+    changes: list[AnyChange] = []
+    for perturbation in perturbations:
+        if isinstance(perturbation, str) and perturbation in CHALLENGES:
+            changes += map(parse_change, CHALLENGES[perturbation].split("+"))
+        else:
+            changes.append(as_change(perturbation))
+    return changes
 
 
 def as_task(value: object) -> Task:
@@ -170,6 +202,7 @@ def as_plain(value: Any) -> Any:
         if value.is_named:
             return value.name
         times = {"at": value.at, "over": value.over, "known": value.known}
+        times |= {} if value.until == math.inf else {"until": value.until}
         more = {name: number for name, number in times.items() if number} | dict(value.settings)
         plain = {name: as_plain(number) for name, number in more.items()}
         return {"family": value.family.name, "strength": as_plain(value.strength), **plain}
@@ -220,12 +253,12 @@ def _unknown(name: object, argument: str) -> UserError:
     text = name if isinstance(name, str) else ""
     if text in TASKS:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
-    known, also = [*FAMILIES], "a Change"
+    known, also = [*FAMILIES, *CHALLENGES], "a Change"
     if argument == "scenario":
-        known, also = [*TASKS, *FAMILIES], "several (centre-out+rotation-30)"
+        known, also = [*TASKS, *FAMILIES, *CHALLENGES], "several (centre-out+rotation-30)"
     elif "+" in text:
         also = f"a list such as {text.split('+')}"
-    word, *strength = re.split("(-(?:-?[0-9].*|at-.*|over-.*|known))$", text)
+    word, *strength = re.split("(-(?:-?[0-9].*|(?:of|for|at|over|until)-.*|known))$", text)
     guess = nearest(word, known)
     meant = guess + "".join(strength)
     guess = meant if guess in FAMILIES and _CHANGE.fullmatch(meant) else guess
@@ -267,7 +300,7 @@ TASKS: dict[str, TaskEntry] = {entry.name: entry for entry in _TASKS}
 # Registration.  Users may register their names again, as in a notebook, but no shipped name.
 
 _SHIPPED_TASKS = dict(TASKS)
-_SHIPPED = frozenset((*TASKS, *FAMILIES))
+_SHIPPED = frozenset((*TASKS, *FAMILIES, *CHALLENGES))
 
 
 def environment_id(task: str = BASELINE) -> str:

@@ -10,6 +10,7 @@ A family of your own is one more function, see `mmc_gym.perturbation`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,17 +19,13 @@ import numpy as np
 
 from mmc_gym._errors import (
     LARGEST_SIZE,
-    LONGEST,
     SMALLEST_SIZE,
-    UserError,
     is_disc,
     is_point,
-    is_whole,
-    require_between,
     require_number,
     require_numbers,
     require_rows,
-    shown,
+    require_whole,
 )
 from mmc_gym.envs.arms import Arms, Floats
 from mmc_gym.envs.changes import Change, Distribution, Family, InUnits
@@ -162,47 +159,50 @@ def HandMass(arms: Arms, mass: Floats) -> None:
     arms.hand_mass += mass
 
 
-_LENGTH: dict[str, Any] = {"neutral": 0.0, "known": True, "begins": False}
+_LENGTH: dict[str, Any] = {"neutral": 0.0, "known": True, "begins": False, "of": "segment"}
 
 
 @_family("longer", "%", "last segment {} % longer", 20.0, low=-99.9999, **_LENGTH)
-def longer(arms: Arms, percent: Floats, segment: int = -1) -> None:
+def longer(arms: Arms, percent: Floats, of: Any = -1) -> None:
     """A segment is longer or shorter than before, as by a tool or growth; its mass is the same."""
-    column = index_of("segment", segment, arms.segment_lengths.shape[1])
-    arms.segment_lengths[:, column] *= 1 + percent / 100
+    arms.segment_lengths *= _factors(arms, 1 + percent / 100, of)
 
 
 @_family(
     "shorter", "%", "last segment {} % shorter", 20.0, high=99.9999, opposite="longer", **_LENGTH
 )
-def shorter(arms: Arms, percent: Floats, segment: int = -1) -> None:
+def shorter(arms: Arms, percent: Floats, of: Any = -1) -> None:
     """A segment is shorter than before, as after an injury; its mass is the same."""
-    column = index_of("segment", segment, arms.segment_lengths.shape[1])
-    arms.segment_lengths[:, column] *= 1 - percent / 100
+    arms.segment_lengths *= _factors(arms, 1 - percent / 100, of)
 
 
-_JOINT: dict[str, Any] = {"low": 1.0, "whole": True, "known": True, "begins": False}
+_JOINT: dict[str, Any] = {"low": 1.0, "whole": True}
 
 
-@_family("locked", "joint", "joint {} (from the base) locked from the start", 2.0, **_JOINT)
-def locked(arms: Arms, number: Floats, time: Any = 0.0) -> None:
-    """A joint becomes rigid at its present angle until the next reset.
+@_family(
+    "locked", "joint", "joint {} (from the base) locked from the start", 2.0, known=True, **_JOINT
+)
+def locked(arms: Arms, number: Floats, at: Any = 0.0, until: Any = math.inf) -> None:
+    """A joint becomes rigid at its present angle until the next reset, or until it is free again.
 
     If it is locked from the start, the other joints can reach all targets.  If it locks later, the
     target may become unreachable: the posture at that time is not known when targets are drawn.
     """
-    for seconds in np.unique(time).tolist():
-        require_between(0, LONGEST, time=seconds)
-    count = arms.lockable.shape[1]
-    for joint in np.unique(number).tolist():
-        index_of("joint", int(joint) - 1, count)
-    arms.lock(number.astype(np.intp) - 1, time)
+    arms.lock(arms.which(number), at, until)
 
 
-@_family("locks", "joint", "joint {} (from the base) locked after 0.2 s", 2.0, **_JOINT)
+@_family(
+    "locks",
+    "joint",
+    "joint {} (from the base) locked after 0.2 s",
+    2.0,
+    known=True,
+    begins=False,
+    **_JOINT,
+)
 def locks(arms: Arms, number: Floats) -> None:
     """A joint becomes rigid after 0.2 s, at the angle that it then has, until the next reset."""
-    locked.apply(arms, number, time=0.2)
+    arms.lock(arms.which(number), 0.2, math.inf)
 
 
 _STD: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": LARGEST_SIZE}
@@ -333,17 +333,258 @@ def Gravity(arms: Arms, acceleration: Floats) -> None:
     arms.gravity[:, 1] -= acceleration
 
 
+@_family(
+    "segment-mass",
+    "times",
+    "last segment {} times as heavy",
+    2.0,
+    neutral=1.0,
+    low=SMALLEST_SIZE,
+    begins=False,
+    of="segment",
+)
+def segment_mass(arms: Arms, factor: Floats, of: Any = -1) -> None:
+    """A segment is heavier or lighter than before, as by a load along it."""
+    arms.segment_masses *= _factors(arms, factor, of)
+
+
+@_family("cursor-shift", "lengths", "cursor shifted by {} segment lengths", 0.2, neutral=0.0)
+def cursor_shift(arms: Arms, distance: Floats) -> None:
+    """The cursor is to the right of the hand, along x, as through prism goggles.
+
+    After Martin, Keating, Goodkin, Bastian & Thach (1996), Brain 119:1183.
+    """
+    arms.shift[:, 0] += distance
+
+
+@_family("base-shift", "lengths", "base moved by {} segment lengths", 0.2, neutral=0.0)
+def base_shift(arms: Arms, distance: Floats) -> None:
+    """The base is further to the right, along x, than agents are given.
+
+    `info["end_effector"]` is still from the base, and obstacles, gravity and fields move with it;
+    `info["cursor"]` is where the hand is.
+    """
+    arms.shift[:, 0] += distance
+
+
+@_family("base-turn", "°", "base turned by {}°", 20.0, neutral=0.0)
+def base_turn(arms: Arms, degrees: Floats) -> None:
+    """The base is turned counter-clockwise from what agents are given; see `base-shift`."""
+    cosine, sine = cosine_and_sine(degrees)
+    arms.turn_cursor(((cosine, -sine), (sine, cosine)), (0.0, 0.0))
+
+
+# Motors: what becomes of actions, which are shares of the largest; see `mmc_gym.envs.motors`.
+
+_FACTOR: dict[str, Any] = {"neutral": 1.0, "low": SMALLEST_SIZE, "high": LARGEST_SIZE}
+_FACTOR["begins"] = False
+_SHARE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 2.0}
+_CHANCE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 1.0}
+
+
+@_family(
+    "motor-gain", "times", "motors turn {} times as far", 0.4, neutral=1.0, of="motor", **_FINITE
+)
+def motor_gain(arms: Arms, factor: Floats, of: Any = None) -> None:
+    """Actions are multiplied by a factor: motors are weak, strong or, below 0, reversed."""
+    arms.motor_gain *= _factors(arms, factor, of)
+
+
+@_family(
+    "motor-offset",
+    "of the largest action",
+    "motors pushed by {} of the largest action",
+    0.2,
+    neutral=0.0,
+    of="motor",
+    **_FINITE,
+)
+def motor_offset(arms: Arms, share: Floats, of: Any = None) -> None:
+    """A constant is added to actions, as by a badly trimmed amplifier; with `-until-`, a push."""
+    arms.motor_offset += np.where(arms.which(of), share[:, None], 0.0)
+
+
+@_family("dead-zone", "of the largest action", "actions below {} do nothing", 0.1, **_SHARE)
+def dead_zone(arms: Arms, share: Floats) -> None:
+    """Actions smaller than this share of the largest do nothing."""
+    arms.dead_zone[:] = np.maximum(arms.dead_zone, share)
+
+
+@_family(
+    "backlash",
+    "of the largest action",
+    "motors follow once actions turned back by {}",
+    0.1,
+    **_SHARE,
+)
+def backlash(arms: Arms, share: Floats) -> None:
+    """A motor follows only once its action has turned back by this share of the largest.
+
+    This is the play operator of hysteresis, see Tao & Kokotovic (1996), Adaptive Control of Systems
+    with Actuator and Sensor Nonlinearities.
+    """
+    arms.backlash += share
+
+
+@_family(
+    "action-noise", "of the largest action", "noise of actions, {} of the largest", 0.1, **_STD
+)
+def action_noise(arms: Arms, std: Floats) -> None:
+    """White noise of actions, of this standard deviation."""
+    _add_variance(arms.action_noise, std)
+
+
+@_family("action-noise-size", "of the action", "noise of actions, {} of their size", 0.2, **_STD)
+def action_noise_size(arms: Arms, std: Floats) -> None:
+    """White noise of actions that grows with them.
+
+    After Harris & Wolpert (1998), Nature 394:780.
+    """
+    _add_variance(arms.action_noise_size, std)
+
+
+@_family("action-delay", "ms", "actions late by {} ms", 60.0, **_MS)
+def action_delay(arms: Arms, ms: Floats) -> None:
+    """Actions arrive late; until the delay is over, the arm rests.  Delays add up.
+
+    They are rounded to control steps.
+    """
+    arms.action_delay += ms / 1000
+
+
+@_family("dropped-actions", "probability", "actions dropped with probability {}", 0.1, **_CHANCE)
+def dropped_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """The action of each motor is dropped now and then, for so many control steps."""
+    _happen(arms, "action_dropped", probability, steps)
+
+
+@_family("held-actions", "probability", "actions kept with probability {}", 0.1, **_CHANCE)
+def held_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """The action of each motor stays as it was now and then, for so many control steps."""
+    _happen(arms, "action_held", probability, steps)
+
+
+@_family("repeated-actions", "probability", "actions repeated with probability {}", 0.3, **_CHANCE)
+def repeated_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """An action is sent again now and then, so many times more."""
+    _happen(arms, "action_repeated", probability, steps)
+
+
+@_family("stuck-motor", "motor", "motor {} (from the base) keeps its last action", 2.0, **_JOINT)
+def stuck_motor(arms: Arms, number: Floats) -> None:
+    """A motor keeps its last action; from the start on, it rests."""
+    arms.motor_stuck |= arms.which(number)
+
+
+@_family("torque-limit", "times", "torque limit {} times as high", 0.1, **_FACTOR)
+def torque_limit(arms: Arms, factor: Floats) -> None:
+    """The servos have less torque, or more, than agents are given."""
+    arms.torque_limit *= factor
+
+
+@_family("servo-gain", "times", "servos {} times as stiff", 0.5, **_FACTOR)
+def servo_gain(arms: Arms, factor: Floats) -> None:
+    """The servos ask for less speed, or more, for an angle to their target."""
+    arms.servo_gain *= factor
+
+
+# Senses that are wrong, see `mmc_gym.envs.senses`.
+
+
+@_family(
+    "sensor-offset", "rad", "joint sensors off by {} rad", 0.15, neutral=0.0, of="joint", **_FINITE
+)
+def sensor_offset(arms: Arms, radians: Floats, of: Any = None) -> None:
+    """Joints are felt at a constant angle from where they are, as by a badly calibrated sensor."""
+    arms.joint_offset += np.where(arms.which(of), radians[:, None], 0.0)
+
+
+@_family(
+    "sensor-drift",
+    "rad/s",
+    "joint sensors drift by {} rad/s",
+    0.2,
+    neutral=0.0,
+    of="joint",
+    **_FINITE,
+)
+def sensor_drift(arms: Arms, speed: Floats, of: Any = None) -> None:
+    """Joints are felt at an angle from where they are that grows from the start on."""
+    arms.joint_drift += np.where(arms.which(of), speed[:, None], 0.0)
+
+
+@_family("stuck-sensor", "joint", "sensor of joint {} (from the base) stuck", 2.0, **_JOINT)
+def stuck_sensor(arms: Arms, number: Floats) -> None:
+    """A joint is felt where it was before, and at rest."""
+    arms.joint_stuck |= arms.which(number)
+
+
+@_family(
+    "encoder", "counts", "joint sensors of {} counts in a turn", 64.0, low=2.0, high=1e9, whole=True
+)
+def encoder(arms: Arms, counts: Floats) -> None:
+    """Joint angles are rounded to so many counts in a turn."""
+    fewer = np.minimum(np.where(arms.encoder == 0.0, np.inf, arms.encoder), counts)
+    arms.encoder[:] = fewer
+
+
+@_family("observation-noise", "of each number", "noise of observed numbers, {}", 0.1, **_STD)
+def observation_noise(arms: Arms, std: Floats) -> None:
+    """White noise of each number of the observation, of this standard deviation, alike for all."""
+    _add_variance(arms.observation_noise, std)
+
+
+@_family("dropped-numbers", "probability", "observed numbers 0 with probability {}", 0.1, **_CHANCE)
+def dropped_numbers(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """Each number of the observation is 0 now and then, for so many control steps."""
+    _happen(arms, "number_dropped", probability, steps)
+
+
+@_family("held-numbers", "probability", "observed numbers kept with probability {}", 0.3, **_CHANCE)
+def held_numbers(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """Each number of the observation stays as it was now and then, for so many control steps."""
+    _happen(arms, "number_held", probability, steps)
+
+
+@_family(
+    "repeated-observations",
+    "probability",
+    "observations repeated with probability {}",
+    0.3,
+    **_CHANCE,
+)
+def repeated_observations(arms: Arms, probability: Floats, steps: Any = 1) -> None:
+    """An observation is sent again now and then, so many times more."""
+    _happen(arms, "observation_repeated", probability, steps)
+
+
+def _factors(arms: Arms, factor: Floats, of: Any) -> Floats:
+    """Return a factor for each joint or segment, (n, N): 1 but for those of the number `of`."""
+    return np.where(arms.which(of), factor[:, None], 1.0)
+
+
+def _happen(arms: Arms, column: str, probability: Floats, steps: Any) -> None:
+    """Let something happen once more, independently, for as many steps as the longest lasts."""
+    for count in np.unique(steps).tolist():
+        require_whole("steps", int(count) if float(count).is_integer() else count)
+    probabilities, durations = getattr(arms, column), getattr(arms, f"{column}_steps")
+    probabilities[:] = 1 - (1 - probabilities) * (1 - probability)
+    durations[:] = np.maximum(durations, steps)
+
+
 # The same in the units of code: lengths as factors, times in seconds, joints as indices.
 
 
-def SegmentLength(factor: Any = 1.2, segment: int = -1, known: bool = False) -> Change:
+def SegmentLength(factor: Any = 1.2, segment: Any = -1, known: bool = False) -> Change:
     """Return the change of a segment to `factor` times its length; segment −1 is the last."""
-    return longer(_in_units(factor, 100.0, -100.0), known=known, **_unless(-1, segment=segment))
+    is_drawn = isinstance(segment, Distribution)
+    number = InUnits(segment, 1.0, 1.0) if is_drawn else segment + 1 if segment >= 0 else segment
+    return longer(_in_units(factor, 100.0, -100.0), known=known, **_unless(-1, of=number))
 
 
 def LockedJoint(joint: Any = 1, time: Any = 0.0, known: bool = False) -> Change:
     """Return the lock of a joint, an index from the base outward, after `time` seconds."""
-    return locked(_in_units(joint, 1.0, 1.0), known=known, **_unless(0.0, time=time))
+    return locked(_in_units(joint, 1.0, 1.0), known=known, at=time)
 
 
 def SensoryDelay(seconds: Any = 0.1) -> Change:
@@ -365,9 +606,9 @@ def Obstacles(discs: Any = FOUR_DISCS[:2], segment_radius: float = 0.05) -> Chan
     return obstacles(1.0, discs=rows, **thickness)
 
 
-def Timed(change: Change, at: Any = 0.0, over: Any = 0.0) -> Change:
-    """Return a change that begins `at` s after the start and grows for `over` s."""
-    return replace(change, at=at, over=over)
+def Timed(change: Change, at: Any = 0.0, over: Any = 0.0, until: Any = math.inf) -> Change:
+    """Return a change that begins at `at`, grows for `over` and ends at `until`, s."""
+    return replace(change, at=at, over=over, until=until)
 
 
 def _in_units(number: Any, factor: float, offset: float = 0.0) -> Any:
@@ -385,12 +626,3 @@ def _centre(centre: Any) -> Any:
     if centre is not None:
         require_numbers("centre", centre, "two finite values (x, y)", is_point)
     return centre
-
-
-def index_of(name: str, index: Any, count: int) -> int:
-    """Return the index as one from 0 to `count` − 1; a negative index counts from the end."""
-    if not (is_whole(index) and -count <= index < count):
-        also = f", {name} {index + 1} from the base" if is_whole(index) and index >= 0 else ""
-        accepted = f"an index from {-count} to {count - 1}"
-        raise UserError(f"{name} must be {accepted}, got {shown(index)}{also}")
-    return index % count

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import reduce
-from operator import add, mul, sub
-from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -20,8 +16,12 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
-from mmc_gym.envs.senses import Disturbance, HandSight, Noise
-from mmc_gym.envs.setup import Episode, GoalSetup, ReachEnvironment, ReachSetup, RewardSettings
+from mmc_gym.envs.buffers import Noise
+from mmc_gym.envs.cursor import Cursor
+from mmc_gym.envs.motors import Motors
+from mmc_gym.envs.reward import precision, reward_and_info
+from mmc_gym.envs.senses import Senses
+from mmc_gym.envs.setup import Episode, GoalSetup, ReachEnvironment, ReachSetup
 from mmc_gym.envs.trials import check_target, require_finite_numbers
 from mmc_gym.envs.workspace import Point, distances
 from mmc_gym.interface import Seen, relative_speeds
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Info = dict[str, Any]
-Number = TypeVar("Number", float, NDArray[np.floating])
-Numbers = Sequence[Any] | NDArray[np.floating]  # joints first
-HALF_PRECISE = 0.05  # segment lengths
 _FIRST = np.zeros(1, dtype=np.intp)  # of the only arm
 
 
@@ -151,7 +148,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._action_shape = setup.action_space.shape
         self.observation_space = setup.observation_space
         self._arm = make_arm(setup.engine, setup.first.body, setup.action.servo)
-        self._hand_sight = HandSight(1, setup.control_step)
         self._renderer: Renderer | None = None
         self._begin(setup, setup.first)
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
@@ -181,8 +177,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._is_started = True
         self._place(*setup.trials.draw(self.episode.workspace, self.np_random, checked))
         observation, _, info = self._look_and_reward()
-        self._late.extend([observation] * self.episode.disturbance.delay)
-        observation = self._delayed(observation)
         if self._has_context:
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
@@ -212,8 +206,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self._has_events:
             self._advance_events()
         observation, reward, info = self._look_and_reward()
-        if self._is_late:
-            observation = self._delayed(observation)
         if self._has_context:
             observation = self._with_context(observation, info)
         if self.render_mode == "human":
@@ -261,8 +253,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             path=self._targets,
             ghost=self._ghost,
             steps=self._steps,
-            cursor=self.disturbance.cursor,
-            observation=self._late[-1 - self.disturbance.delay] if self._late else None,
+            cursor=self.cursor,
+            observation=self._observation,
         )
         return self._renderer.draw(scene)
 
@@ -282,13 +274,21 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self.setup, self.episode, self._numbers = setup, episode, episode.numbers
         self._shown, self._context = setup.context_of(episode.numbers[None])[0], self.context
         self._has_context = setup.episodes.is_drawn or len(self._shown) > 0
-        delay, vision_delay = episode.disturbance.delay, episode.disturbance.vision_delay
+        touched, joints = setup.touched, setup.joint_count
         self._has_events = setup.trials.path_length > 1 or episode.lock_step > 0 or setup.is_timed
-        self._has_events = self._has_events or setup.has_noise or setup.may_hide
-        self._is_late = setup.are_senses_disturbed
-        self._late: deque[Any] = deque(maxlen=delay + 1)  # observations on their way
-        self._sights: deque[tuple[Point, Point]] = deque(maxlen=vision_delay + 1)
-        self._noise = Noise(1, setup.joint_count, setup.episodes.touched)
+        self._has_events = self._has_events or setup.are_senses_disturbed
+        self._has_events = self._has_events or setup.are_motors_disturbed
+        size = setup.layout.size
+        self._noise = Noise(1, joints, size, touched)
+        holds = setup.control == "joint_position"
+        delays = episode.delays
+        self._motors: Motors | None = None
+        if setup.are_motors_disturbed:
+            self._motors = Motors(1, joints, delays["action_delay"], touched, holds)
+        self._senses: Senses | None = None
+        if setup.are_senses_disturbed:
+            self._senses = Senses(1, joints, size, delays, touched, setup.control_step)
+        self._observation: Any = None  # without its context, if senses are disturbed
 
     def _with_context(self, observation: Any, info: Info) -> Any:
         """Write the drawn context into `info`; return the observation with the observed context."""
@@ -299,12 +299,13 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _place(self, posture: list[float], targets: list[Point]) -> None:
         setup, episode = self.setup, self.episode
         self._arm.reset(posture, parameters=episode.body)
-        self.disturbance = episode.disturbance
+        self._arms, self.cursor = episode.arms, episode.cursor  # at the present time
         self._spans = setup.episodes.spans(episode.numbers)
         if setup.is_timed:
             self._change(0)
-        if (noise := episode.disturbance.noise) is not None:
-            self._noise.begin(_FIRST, noise)
+        self._noise.begin(_FIRST, episode.arms)
+        if self._motors is not None:
+            self._motors.begin(_FIRST, setup.rest(np.array([self._arm.joint_angles])))
         self._speeds = [0.0] * len(posture)
         self._steps = self._place_on_path = 0
         self._targets, self._target = targets, targets[0]
@@ -313,16 +314,17 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._arm.lock()
         if setup.channel is not None:
             self._arm.confine(self._arm.end_effector, self._target)
-        self._sights.clear()
         self._trace.clear()
         self._trace.append(self._arm.end_effector)
 
     def _change(self, steps: int) -> None:
         """Let the perturbations be what they are after so many control steps."""
-        arms = self.setup.episodes.arms(self._numbers[None], steps)
-        self.disturbance = Disturbance.of(arms, self.setup.episodes.touched).of_one()
+        self._arms = arms = self.setup.episodes.arms(self._numbers[None], np.array([steps]))
+        touched = self.setup.episodes.touched
+        if self.setup.has_cursor:
+            self.cursor = Cursor.of(arms, touched).row(0)
         if self.setup.is_loaded:
-            self._arm.load(arms.parameters(self.setup.episodes.touched))
+            self._arm.load(arms.parameters(touched))
 
     def _command(self, action: ArrayLike) -> list[float]:
         if type(action) is not np.ndarray or action.dtype.kind != "f":
@@ -333,6 +335,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         for value in values:
             if not -1.0 <= value <= 1.0:  # true for NaN too
                 raise UserError(f"action must lie within -1 and 1, got {values}")
+        if self._motors is not None:
+            steps = np.array([self._steps])
+            values = self._motors.send([values], self._arms, self._noise, steps)[0].tolist()
         return [scale * value for value in values]
 
     def _advance_events(self) -> None:
@@ -342,6 +347,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._change(self._steps)
         if self._steps == self.episode.lock_step:
             self._arm.lock()
+        if self._steps == self.episode.unlock_step:
+            self._arm.unlock()
         task, last = self.setup.task, len(self._targets) - 1
         if task.advance == "time":
             place = self._steps % (last + 1) if task.periodic else min(self._steps, last)
@@ -354,7 +361,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _look_and_reward(self) -> tuple[Any, float, Info]:
         """Return observation, reward and info of the present state; store its joint speeds."""
         arm, setup, target = self._arm, self.setup, self._target
-        cursor = self.disturbance.cursor
+        cursor = self.cursor
         hand = arm.end_effector if cursor is None else self._seen_hand()
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
         distance = _distance(hand, target)
@@ -369,38 +376,38 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             force, speed = arm.contact
             info["channel_force"] = np.float64(force)
             info["ideal_force"] = np.float64(setup.channel * speed)
-        if setup.is_sight_disturbed:
-            sights = self._sights
-            sights.append((hand, target))  # at first fewer than the delay: the first is the start
-            hand, target = sights[max(len(sights) - 1 - self.disturbance.vision_delay, 0)]
-            state = arm.joint_angles, target, arm.joint_velocities, hand
-            true = Seen(*(np.array([each]) for each in state))
-            return self._observe(true, info), reward, info
-        seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
-        return seen, reward, info
+        if self._noise.is_drawn:
+            self._noise.draw(_FIRST, np.array([self._steps]), [self.np_random])
+        if self._motors is not None:
+            info["action_sent"] = self._motors.sent[0].copy()
+        if self._senses is None:
+            seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
+            return seen, reward, info
+        return self._sense(speeds, hand, info), reward, info
 
-    def _observe(self, seen: Seen, info: Info) -> Any:
-        """Return the observation under noise and feedback; say in `info` if the hand is seen."""
-        now, steps = self.disturbance, np.array([self._steps])
-        if now.noise is not None:
-            seen = self._noise.disturb(seen, now.noise, _FIRST, steps, [self.np_random])
-        if now.hidden is not None:
-            hands, sight = info["end_effector"][None], self._hand_sight
-            seen = replace(seen, hand=sight.look(_FIRST, steps, hands, seen.hand, now.hidden))
-            info["is_hand_seen"] = np.array(sight.is_seen[0])
-        return self.setup.observe(seen)[0]
+    def _sense(self, speeds: list[float], hand: Point, info: Info) -> NDArray[np.float32]:
+        """Return what is observed by disturbed senses; complete `info`."""
+        arm, setup, steps, senses = self._arm, self.setup, np.array([self._steps]), self._senses
+        assert senses is not None
+        if senses.change_state:
+            state = arm.joint_angles, self._target, arm.joint_velocities, hand
+            true = Seen(*(np.array([part]) for part in state))
+            hands = info["end_effector"][None]
+            seen, is_seen = senses.sense(_FIRST, steps, true, self._arms, self._noise, hands)
+            if is_seen is not None:
+                info["is_hand_seen"] = np.array(is_seen[0])
+            observation = setup.observe(seen)
+        else:
+            angles, target = arm.joint_angles, self._target
+            observation = setup.layout.encode(angles, speeds, hand=hand, target=target)[None]
+        observation = senses.transmit(_FIRST, steps, observation, self._arms, self._noise)
+        self._observation = observation[0]
+        return self._observation.copy()
 
     def _seen_hand(self) -> Point:
         """Return the position of the hand, or of the cursor that stands for it."""
-        cursor, hand = self.disturbance.cursor, self._arm.end_effector
+        cursor, hand = self.cursor, self._arm.end_effector
         return hand if cursor is None else cursor.at(*hand, self._target)
-
-    def _delayed(self, observation: Any) -> Any:
-        """Store an observation; return the one that arrives now, which shares no memory."""
-        if not self._is_late:
-            return observation
-        self._late.append(observation)
-        return self._late[-1 - self.disturbance.delay].copy()
 
 
 def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
@@ -410,57 +417,10 @@ def with_context(observation: Any, shown: NDArray[np.float32]) -> Any:
     return np.concatenate([observation, shown], axis=-1)
 
 
-# Distances, successes and rewards are numbers, or arrays (n,) of n arms.
-
-
 def _distance(hand: Point, target: Point) -> float:
     # The operations of `distances`, so that relabelling gives the same bits.
     x, y = target[0] - hand[0], target[1] - hand[1]
     return math.sqrt(x * x + y * y)
-
-
-def precision(distance: Number, weight: float) -> Number:
-    """Return the reward for precision: `weight` at distance 0, half of it at 0.05."""
-    return weight * (HALF_PRECISE / (HALF_PRECISE + distance))
-
-
-def reward_and_info(
-    distance: Number,
-    is_success: Any,
-    speeds: Numbers,
-    speeds_before: Numbers,
-    settings: RewardSettings,
-    number: Callable[[Any], Any] = np.float64,
-) -> tuple[Number, Info]:
-    """Return the reward of a state, and the entries of `info` that explain it.
-
-    The distance is from the target to the hand, or to the cursor that stands for it.  Speeds of the
-    joints, now and one control step earlier, are fractions of their limit, (N,) or (N, n).
-    `number` gives what is in `info` a dtype, which an array has.
-    """
-    reward_control = _minus_mean_square(speeds, settings.control_weight)
-    reward_precision = precision(distance, settings.precision_weight)
-    info = {
-        "distance": number(distance),
-        "is_success": np.array(is_success),  # sync would make objects of numpy bools
-        "reward_distance": number(-distance),
-        "reward_precision": number(reward_precision),
-        "reward_control": number(reward_control),
-    }
-    reward = -distance + reward_precision + reward_control
-    if settings.smoothness_weight:
-        changes = list(map(sub, speeds, speeds_before))
-        reward_smoothness = _minus_mean_square(changes, settings.smoothness_weight)
-        info["reward_smoothness"] = number(reward_smoothness)
-        reward = reward + reward_smoothness
-    return (is_success - 1.0 if settings.is_sparse else reward), info
-
-
-def _minus_mean_square(speeds: Numbers, weight: float) -> Any:
-    """Return minus `weight` times the mean square over the first axis."""
-    # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
-    squares: Any = reduce(add, map(mul, speeds, speeds))
-    return -weight * squares / len(speeds)
 
 
 class GoalEnvironment(ReachEnvironment):

@@ -324,7 +324,8 @@ class Renderer:
             for node in ghost[1:]:
                 canvas.disc(GHOST, node, 5.5)
                 canvas.disc(REACHABLE, node, 3)
-        is_locked = 0 <= self._episode.lock_step <= scene.steps
+        first, free = self._episode.lock_step, self._episode.unlock_step
+        is_locked = 0 <= first <= scene.steps and not 0 <= free <= scene.steps
         for joint in body.lockable_joints if is_locked else ():
             canvas.square(REACHABLE, nodes[joint], 18, math.pi / 4)
             canvas.square(OUTLINE, nodes[joint], 15, math.pi / 4)

@@ -7,6 +7,7 @@ the environments, the settings of a store, an experiment's trials and the rows o
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -21,6 +22,7 @@ from mmc_gym._errors import UserError, require, require_arguments, require_whole
 from mmc_gym.envs.changes import Change, Family
 from mmc_gym.envs.names import (
     BASELINE,
+    CHALLENGES,
     TASKS,
     TaskEntry,
     environment_id,
@@ -48,7 +50,11 @@ class Scenario:
     @property
     def name(self) -> str:
         """The name for task and perturbations together, with strengths."""
-        return "+".join(named.name for named in self._named)
+        name = "+".join(named.name for named in self._named)
+        for challenge, names in CHALLENGES.items():
+            if name.endswith(names):
+                name = name.removesuffix(names) + challenge
+        return name
 
     @property
     def description(self) -> str:
@@ -394,9 +400,14 @@ def as_json(arguments: Mapping[str, Any]) -> Any:
     def code(kind: Any) -> dict[str, str]:
         return {"code": identity(kind)} if is_own(kind.__module__) else {}
 
+    def is_never(value: Any) -> bool:
+        return isinstance(value, float) and value == math.inf
+
     def declared(value: Any) -> dict[str, Any]:
         if "__dataclass_fields__" in vars(type(value)):  # inherited fields may not be all
-            return {field.name: getattr(value, field.name) for field in fields(value)}
+            declared_fields = {field.name: getattr(value, field.name) for field in fields(value)}
+            # JSON has no infinite numbers: what never ends has no end.
+            return {name: each for name, each in declared_fields.items() if not is_never(each)}
         return dict(vars(value)) if hasattr(value, "__dict__") else {"value": repr(value)}
 
     def plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ The single and the vector environment both use it.  It does not change while the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from operator import attrgetter
@@ -21,25 +21,20 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, require
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.arms import Arms, Bools, Floats
+from mmc_gym.envs.arms import DELAYS, Arms, Bools, Floats
+from mmc_gym.envs.buffers import JOINT_NOISE, VISION_NOISE
 from mmc_gym.envs.cursor import CURSOR, Cursor
 from mmc_gym.envs.episodes import Episodes
+from mmc_gym.envs.motors import MOTORS
 from mmc_gym.envs.names import as_changes, as_plain, as_task, environment_id
-from mmc_gym.envs.senses import NOISE, Disturbance
+from mmc_gym.envs.reward import RewardSettings
+from mmc_gym.envs.senses import SENSES
 from mmc_gym.envs.trials import Options, Trials, check_context, check_names
 from mmc_gym.envs.workspace import REACH_TOLERANCE, Workspace
+from mmc_gym.geometry import wrap_angle
 from mmc_gym.interface import ObservationLayout, Seen, action_meaning, relative_speeds
 
 _TRIED = 10  # trials drawn of a user's own task when the environment is made
-
-
-class RewardSettings(NamedTuple):
-    """The numbers that the reward depends on."""
-
-    control_weight: float
-    precision_weight: float
-    smoothness_weight: float
-    is_sparse: bool
 
 
 class State(NamedTuple):
@@ -59,16 +54,21 @@ class Episode(NamedTuple):
     arms: Arms  #: the arm once its perturbations have their full strength
     body: ArmParameters  #: the simulated arm, with all perturbations
     workspace: Workspace  #: where hand and target can be
+    cursor: Cursor | None  #: that stands for the hand then, in numbers
     lock_step: int  #: control steps after which joints lock; -1: never
-    disturbance: Disturbance  #: of the senses, at full strength
+    unlock_step: int  #: control steps after which they are free again; -1: never
+
+    @property
+    def delays(self) -> dict[str, int]:
+        """The delays of the columns of `DELAYS`, control steps."""
+        return {name: int(self.arms.steps_of(name)[0]) for name in DELAYS}
 
 
 class Limits(NamedTuple):
     """What holds for all episodes, whatever is drawn."""
 
     bodies: tuple[ArmParameters, ...]  #: that occur, the first one that of the first sample
-    delay: int  #: of all senses, control steps
-    vision_delay: int  #: of sight, besides, control steps
+    delays: Mapping[str, int]  #: the longest of each column of `DELAYS`, control steps
     farthest: float  #: distance from the base that the hand, or its cursor, never exceeds
     may_lock_in_flight: bool
     have_rings: bool  #: whether hands are drawn between two radii, but for arms with obstacles
@@ -107,10 +107,8 @@ class ReachSetup:
         self.action = action_meaning(self.control, self.given_body)  #: what actions mean
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
-        touched = self.episodes.touched
-        self.has_cursor = bool(touched & CURSOR)  #: whether a cursor may stand for the hand
-        self.has_noise = bool(touched & NOISE)
-        self.may_hide = "hidden" in touched  #: whether the hand may be hidden
+        #: whether a cursor may stand for the hand
+        self.has_cursor = bool(self.episodes.touched & CURSOR)
         self.is_timed = self.episodes.is_timed  #: whether anything changes within an episode
         #: whether the load or the force field does
         self.is_loaded = bool(self.episodes.in_flight & {"hand_mass", "force_field"})
@@ -118,12 +116,11 @@ class ReachSetup:
         self.limits = self._try(samples)
         self.first = self.episode(samples[0])  #: the episode of the first sample; the only one
         is_drawn = self.episodes.is_drawn  # a given context may be beyond what is drawn
-        late, sees_late = ({name} & touched and is_drawn for name in ("delay", "vision_delay"))
-        #: whether observations may be late or noisy
-        self.are_senses_disturbed = self.has_noise or bool(late or self.limits.delay)
-        self.may_see_late = bool(sees_late or self.limits.vision_delay)
-        #: whether sight may be late or noisy, or the hand hidden
-        self.is_sight_disturbed = self.has_noise or self.may_see_late or self.may_hide
+        no_delays = {name for name, steps in self.limits.delays.items() if not (steps or is_drawn)}
+        #: the columns of `Arms` that differ between arms, or from those of the plain arm
+        self.touched = self.episodes.touched - no_delays
+        self.are_motors_disturbed = bool(self.touched & MOTORS)
+        self.are_senses_disturbed = bool(self.touched & SENSES)
         self.bodies_differ = self.episodes.draws_body  #: whether bodies are drawn
         self.channel = self._check_channel()  #: curl of its ideal force, or None
         self.frame_rate = round(1 / self.control_step)  #: pictures a second, one each control step
@@ -140,7 +137,8 @@ class ReachSetup:
         #: largest absolute value, at least 1, of each number of the observed context
         largest = np.abs(self._shown(samples)).max(axis=0)
         self.context_limits = np.maximum(largest, np.float32(context_limits))
-        may_exceed_limits = self.has_noise or is_drawn or self.limits.farthest > self.reach
+        may_exceed_limits = is_drawn or self.limits.farthest > self.reach
+        may_exceed_limits |= bool(self.touched & (VISION_NOISE | JOINT_NOISE))
         #: order of the observed numbers; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(
             self.joint_count,
@@ -155,7 +153,7 @@ class ReachSetup:
     def _try(self, samples: Floats) -> Limits:
         """Return the limits of all draws; raise a `UserError` if a sample is impossible."""
         bodies: dict[ArmParameters, None] = {}
-        delay, vision_delay, farthest, locks, have_rings = 0, 0, 0.0, False, True
+        delays, farthest, locks, have_rings = dict.fromkeys(DELAYS, 0), 0.0, False, True
         for numbers in samples:
             try:
                 episode = self._possible_episode(numbers, bodies)
@@ -167,16 +165,15 @@ class ReachSetup:
                 raise UserError(
                     f"perturbations must be possible whatever is drawn, got {text}: {error}"
                 ) from error
-            delay = max(delay, episode.disturbance.delay)
-            vision_delay = max(vision_delay, episode.disturbance.vision_delay)
+            delays = {name: max(delays[name], steps) for name, steps in episode.delays.items()}
             farthest = max(farthest, self._farthest(numbers))
-            locks |= episode.lock_step > 0
+            locks |= episode.lock_step > 0 or episode.unlock_step > 0
             have_rings &= episode.workspace.is_ring or bool(episode.body.obstacles)
-        self._check_delays(delay, vision_delay)
+        self._check_delays(delays)
         same = {(body.joint_limits is None, body.control_step) for body in bodies}
         accepted = "with joint limits always or never"
         require(len(same) == 1, "perturbations", next(iter(bodies)), accepted)
-        return Limits((*bodies,), delay, vision_delay, farthest, locks, have_rings)
+        return Limits((*bodies,), delays, farthest, locks, have_rings)
 
     def _possible_episode(
         self, numbers: Floats, bodies: dict[ArmParameters, None] | None = None
@@ -247,9 +244,9 @@ class ReachSetup:
             reaches = np.maximum(reaches, cursor.farthest(reaches))
         return float(reaches.max())
 
-    def _check_delays(self, delay: int, vision_delay: int) -> None:
+    def _check_delays(self, delays: Mapping[str, int]) -> None:
         """Raise a `UserError` for a delay that is rounded to none."""
-        for column, steps in (("delay", delay), ("vision_delay", vision_delay)):
+        for column, steps in delays.items():
             parts = [part for part in self.episodes.parts if column in self.episodes.touches(part)]
             if not parts or steps or self.episodes.is_drawn:
                 continue
@@ -275,22 +272,17 @@ class ReachSetup:
         """Return the episode of an arm that has drawn numbers, (m,)."""
         episodes = self.episodes
         arms = episodes.arms(numbers[None])
-        body, lock_step = arms.parameters(episodes.touched), int(self.lock_steps(arms)[0])
-        disturbance = Disturbance.of(arms, episodes.touched).of_one()
+        body = arms.parameters(episodes.touched)
+        lock_step, unlock_step = arms.lock_steps[:, 0].tolist()
+        cursor = Cursor.of(arms, episodes.touched).row(0) if self.has_cursor else None
         at_all_times = None
         if self.is_timed and self.has_cursor:
             moments = episodes.moments(numbers)
             rows = np.tile(numbers, (len(moments), 1))
             at_all_times = Cursor.of(episodes.arms(rows, moments), episodes.touched)
         locked = body.lockable_joints if lock_step == 0 else ()
-        workspace = Workspace(body, self.given_body, locked, disturbance.cursor, at_all_times)
-        return Episode(numbers, arms, body, workspace, lock_step, disturbance)
-
-    def lock_steps(self, arms: Arms) -> NDArray[np.intp]:
-        """Return the control steps after which joints lock, (n,); -1: never."""
-        never = np.isnan(arms.lock_time)
-        steps = np.rint(np.where(never, 0.0, arms.lock_time) / self.control_step)
-        return np.where(never, -1, steps).astype(np.intp)
+        workspace = Workspace(body, self.given_body, locked, cursor, at_all_times)
+        return Episode(numbers, arms, body, workspace, cursor, lock_step, unlock_step)
 
     def observe(self, seen: Seen) -> NDArray[np.float32]:
         """Return observations of n arms, (n, …), of what they sense."""
@@ -299,6 +291,12 @@ class ReachSetup:
             seen.joint_angles, speeds, hand=seen.hand, target=seen.target
         )
         return observation
+
+    def rest(self, postures: Floats) -> Floats:
+        """Return actions, (n, N), under which arms at rest in postures, (n, N), stay there."""
+        if self.control != "joint_position":
+            return np.zeros_like(postures)
+        return np.asarray(wrap_angle(postures) / math.pi, np.float64)
 
     def context_of(self, numbers: Floats) -> NDArray[np.float32]:
         """Return the context, (k, c), that k arms observe if they have drawn `numbers`, (k, m)."""
@@ -334,7 +332,7 @@ class GoalSetup(ReachSetup):
 
     def __init__(self, arguments: ReachArguments, context_limits: Any = 1.0) -> None:
         super().__init__(arguments, context_limits)
-        if self.is_sight_disturbed or self.are_senses_disturbed or self.task.advance == "reach":
+        if self.are_senses_disturbed or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
                 f"no noise, no delay and no via points, got task={self.task}, "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import numpy as np
@@ -28,9 +27,12 @@ from mmc_gym.body.base import ArmBatch
 from mmc_gym.body.parameters import joints_that_lock
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.arms import Arms
+from mmc_gym.envs.buffers import Noise, pick, put
 from mmc_gym.envs.cursor import Cursor
-from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info, with_context
-from mmc_gym.envs.senses import Disturbance, HandSight, Late, Noise, put
+from mmc_gym.envs.motors import Motors
+from mmc_gym.envs.reach import GoalEnvironment, Info, with_context
+from mmc_gym.envs.reward import reward_and_info
+from mmc_gym.envs.senses import Senses
 from mmc_gym.envs.setup import GoalSetup, ReachEnvironment, ReachSetup, State
 from mmc_gym.envs.trials import Options
 from mmc_gym.envs.workspace import (
@@ -50,7 +52,7 @@ Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 Randoms = list[np.random.Generator]
 Floats = NDArray[np.float64]
-Looked = tuple[Any, NDArray[Any], Info]  # observation, rewards and infos
+Looked = tuple[NDArray[Any], Info]  # rewards and infos
 _EVERY = slice(None)
 
 
@@ -102,8 +104,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._context: dict[str, Any] = {}  # of all arms, if it is known
         #: of all arms, at the present time
         self._arms = setup.first.arms.rows(np.zeros(num_envs, dtype=np.intp))
-        self._disturbance = Disturbance.of(self._arms, setup.episodes.touched)
-        self._lock_steps = np.full(num_envs, setup.first.lock_step)  # -1: never
+        self._cursor: Cursor | None = None
+        self._lock_steps = np.tile(setup.first.arms.lock_steps, num_envs)  # and to unlock, (2, n)
         self._copy = arguments.copy
         self._all = np.arange(num_envs)
         generators = [seeding.np_random() for _ in range(num_envs)]
@@ -113,12 +115,22 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
-        plain = create_empty_array(setup.plain_space, num_envs)
-        self._late = Late(plain, setup.limits.delay)  # observations on their way
-        #: hands and targets on their way, (n, 2, 2)
-        self._sights = Late(np.zeros((num_envs, 2, 2)), setup.limits.vision_delay)
-        self._noise = Noise(num_envs, setup.joint_count, setup.episodes.touched)
-        self._hand_sight = HandSight(num_envs, setup.control_step)
+        self._observation: Any = create_empty_array(setup.plain_space, num_envs)
+        joints, size, delays, touched = (
+            setup.joint_count,
+            setup.layout.size,
+            setup.limits.delays,
+            setup.touched,
+        )
+        self._unseen = np.empty((num_envs, 0), np.float32)  # of senses that change what is seen
+        self._noise = Noise(num_envs, joints, size, touched)
+        self._motors: Motors | None = None
+        if setup.are_motors_disturbed:
+            holds = setup.control == "joint_position"
+            self._motors = Motors(num_envs, joints, delays["action_delay"], touched, holds)
+        self._senses: Senses | None = None
+        if setup.are_senses_disturbed:
+            self._senses = Senses(num_envs, joints, size, delays, touched, setup.control_step)
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
@@ -129,7 +141,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._compiled is not None
             and setup.task.advance == "time"
             and not setup.has_cursor
-            and not setup.is_sight_disturbed
+            and not setup.are_senses_disturbed
             and not setup.is_timed
         )
 
@@ -167,12 +179,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 name = f"options['context'] for arm {arm}"
                 can_become = self._body.can_become(arm, episode.body)
                 require(can_become, name, dict(zip(names, episode.numbers)), accepted)
-                self._make_room(episode.disturbance.delay, episode.disturbance.vision_delay)
+                self._make_room(episode.delays)
         self._randoms, self._seeds = map(list, zip(*generators, strict=True))
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
-        observation, _, info = self._look_at(arms)
-        self._late.fill(arms, observation)
+        _, info = self._look_at(arms)
         return self._shown(), spread(info, mask)
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, Floats, Bools, Bools, Info]:
@@ -194,7 +205,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps += 1
         if self._is_fused and not len(waiting):
             self._move_targets()
-            observation, rewards, info = self._move_and_look(values)
+            rewards, info = self._move_and_look(values)
         else:
             self._move(values)
             if self.setup.is_timed:
@@ -203,15 +214,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
-            if self.setup.may_see_late:
-                self._sights.send(self._sight(_EVERY))
-            observation, rewards, info = self._look()
+            rewards, info = self._look()
         if self.setup.limits.may_lock_in_flight:
-            self._body.lock(np.flatnonzero((self._steps == self._lock_steps) & (self._steps > 0)))
-        self._late.send(observation)
-        if len(waiting):
-            self._late.fill(waiting, pick(observation, waiting))
-            rewards[waiting] = 0.0
+            is_now = (self._steps == self._lock_steps) & (self._steps > 0)
+            self._body.lock(np.flatnonzero(is_now[0]))
+            self._body.unlock(np.flatnonzero(is_now[1]))
+        rewards[waiting] = 0.0
         terminations = self.setup.terminates & info["is_success"]
         terminations[waiting] = False
         truncations = self._steps >= (self.max_episode_steps or sys.maxsize)
@@ -238,12 +246,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.setup = setup
         self.single_observation_space = setup.observation_space
         self.observation_space = batch_space(setup.observation_space, self.num_envs)
-        self._make_room(setup.limits.delay, setup.limits.vision_delay)
+        self._make_room(setup.limits.delays)
 
-    def _make_room(self, delay: int, vision_delay: int) -> None:
-        """Make room for delays of the senses and of sight, control steps."""
-        self._late.grow(delay)
-        self._sights.grow(vision_delay)
+    def _make_room(self, delays: Mapping[str, int]) -> None:
+        """Make room for delays, control steps."""
+        if self._motors is not None:
+            self._motors.grow(delays["action_delay"])
+        if self._senses is not None:
+            self._senses.grow(delays)
 
     @property
     def arms(self) -> ArmBatch:
@@ -310,9 +320,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         drawn = setup.first.arms.rows(0 * arms)
         if episodes.is_drawn:
             self._context_shown[arms], drawn = setup.context_of(numbers), episodes.arms(numbers)
-        self._lock_steps[arms] = setup.lock_steps(drawn)
-        if (noise := Disturbance.of(drawn, episodes.touched).noise) is not None:
-            self._noise.begin(arms, noise)
+        self._lock_steps[:, arms] = drawn.lock_steps
+        self._noise.begin(arms, drawn)
         is_alone = np.full(len(arms), not is_together) | drawn.obstacles.astype(bool)
         if len(rows := np.flatnonzero(~is_alone)):
             generators = [randoms[row] for row in rows]
@@ -327,15 +336,15 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         if setup.is_timed:
             self._change(arms)
-        elif episodes.is_drawn:
-            self._disturbance = Disturbance.of(self._arms, episodes.touched)
-        self._body.lock(arms[self._lock_steps[arms] == 0])
+        elif setup.has_cursor:
+            self._cursor = Cursor.of(self._arms, setup.touched)
+        if self._motors is not None:
+            self._motors.begin(arms, setup.rest(self._body.joint_angles[arms]))
+        self._body.lock(arms[self._lock_steps[0, arms] == 0])
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
         if self.setup.channel is not None:
             self._body.confine(arms, self._body.end_effectors[arms], self._targets[arms])
-        if self.setup.may_see_late:
-            self._sights.fill(arms, self._sight(arms))
 
     def _place_many(self, arms: Indices, randoms: Randoms, uniform: Floats, drawn: Arms) -> Bools:
         """Draw a trial for each of these arms, all at once.
@@ -344,11 +353,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         target; the generators of the others are as before, but for these first numbers.
         """
         setup, count = self.setup, self.setup.joint_count
-        locked = drawn.lockable & (self._lock_steps[arms] == 0)[:, None]
+        locked = drawn.lockable & (self._lock_steps[0, arms] == 0)[:, None]
         postures, places = places_from(
             uniform[:, :count], drawn.ring, drawn.segment_lengths, locked if locked.any() else None
         )
-        cursor = Cursor.of(drawn, setup.episodes.touched) if setup.has_cursor else None
+        cursor = Cursor.of(drawn, setup.touched) if setup.has_cursor else None
         left, numbers = np.arange(len(arms)), uniform[:, count:]
         for tried in range(1, MOST_TARGETS + 1):
             cursors = None if cursor is None else cursor.rows(left)
@@ -388,12 +397,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             return
         episodes = self.setup.episodes
         self._arms.write(arms, now := episodes.arms(self._numbers[arms], self._steps[arms]))
-        self._disturbance = Disturbance.of(self._arms, episodes.touched)
+        if self.setup.has_cursor:
+            self._cursor = Cursor.of(self._arms, self.setup.touched)
         if self.setup.is_loaded:
             self._body.load(now.columns(episodes.touched), arms)
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
+        values = self._sent(values)
         if self._compiled is not None:
             self._compiled.move(values)
             return
@@ -419,7 +430,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _restart(self, infos: Info, over: Bools) -> Info:
         """Restart the arms whose episodes are over, and add their last infos (SAME_STEP)."""
-        arms, shown = np.flatnonzero(over), self._with_context(self._arrived())
+        arms, shown = np.flatnonzero(over), self._with_context(self._observation)
         final_observations = np.full(self.num_envs, None, dtype=object)
         ended = pick(shown, arms)  # a copy
         for row, arm in enumerate(arms.tolist()):
@@ -427,15 +438,20 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: of_arms(infos[name], arms) for name in names}, over)
         self._place(arms, Options())
-        observation, _, info = self._look_at(arms)
-        self._late.fill(arms, observation)
+        _, info = self._look_at(arms)
         for name, values in info.items():
             put(infos[name], arms, values)
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
+    def _sent(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the actions that arrive at the servos."""
+        if self._motors is None:
+            return values
+        return self._motors.send(values, self._arms, self._noise, self._steps - 1)
+
     def _look(self) -> Looked:
-        """Return observation, reward and info of all arms in their present state."""
+        """Return reward and info of all arms in their present state, and observe it."""
         if self._compiled is None:
             return self._look_at(_EVERY)
         state = self._state()
@@ -445,30 +461,34 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Move the arms and look at them in one compiled pass, as `_move` and `_look` do."""
         assert self._compiled is not None
         state = self._state()
-        return self._with_senses(state, *self._compiled.move_and_look(actions, state))
+        return self._with_senses(state, *self._compiled.move_and_look(self._sent(actions), state))
 
     def _state(self) -> State:
         """Return the state that the compiled step needs besides that of the arms."""
+        observation, senses = self._observation, self._senses
+        if senses is not None:  # the observation may be written where it is sent from
+            observation = self._unseen if senses.change_state else senses.late.oldest
         return State(
             self._seen_hands(_EVERY),
             self._targets,
             self._is_at_last_target(_EVERY),
             self._speeds,
-            self._late.oldest,
+            observation,
         )
 
     def _with_senses(self, state: State, rewards: Floats, info: Info) -> Looked:
-        return self._sensed(_EVERY, state.hands, state.observation, info), rewards, info
+        self._observe(_EVERY, state.hands, state.observation, info)
+        return rewards, info
 
     def _look_at(self, arms: Indices | slice) -> Looked:
-        """Return observation, reward and info of these arms in their present state.
+        """Return reward and info of these arms in their present state, and observe it.
 
         Their speeds are remembered for the cost of smoothness in the next step.
         """
         setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
         speeds = relative_speeds(self._body.joint_velocities[arms], setup.given_body.speed_limit)
         observation: Any = None
-        if not setup.is_sight_disturbed:
+        if self._senses is None or not self._senses.change_state:
             angles = self._body.joint_angles[arms]
             observation = setup.layout.encode(angles, speeds, hand=hands, target=targets)
         distance = distances(hands, targets)
@@ -480,11 +500,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._speeds[arms] = speeds
         info["end_effector"] = self._body.end_effectors[arms].copy()
         info["target"] = targets.copy()
-        return self._sensed(arms, hands, observation, info), rewards, info
+        self._observe(arms, hands, observation, info)
+        return rewards, info
 
-    def _sensed(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> Any:
-        """Return what these arms observe, noise and late sight included; complete `info`."""
-        setup = self.setup
+    def _observe(self, arms: Indices | slice, hands: Floats, observation: Any, info: Info) -> None:
+        """Let these arms observe, with disturbed senses what these make of it; complete `info`."""
+        setup, senses = self.setup, self._senses
         if setup.episodes.is_drawn:
             self._context = self._context or self.context
             info["context"] = {name: column[arms].copy() for name, column in self._context.items()}
@@ -493,20 +514,32 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if setup.channel is not None:
             info["channel_force"], speeds = self._body.contacts[arms].T.copy()
             info["ideal_force"] = setup.channel * speeds
-        if not setup.is_sight_disturbed:
-            return observation
-        targets, rows, now = self._targets[arms], self._all[arms], self._disturbance
-        if setup.may_see_late:
-            hands, targets = self._sights.arrived(now.vision_delay)[arms].swapaxes(0, 1)
-        angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
-        seen, steps = Seen(angles, targets, velocities, hands), self._steps[arms]
-        if now.noise is not None:
-            seen = self._noise.disturb(seen, now.noise[arms], rows, steps, self._randoms)
-        if now.hidden is not None:
-            true_hands, sight = self._body.end_effectors[arms], self._hand_sight
-            hands = sight.look(rows, steps, true_hands, seen.hand, now.hidden[arms])
-            seen, info["is_hand_seen"] = replace(seen, hand=hands), sight.is_seen[rows]
-        return setup.observe(seen)
+        if self._motors is not None:
+            info["action_sent"] = self._motors.sent[arms].copy()
+        rows, steps = self._all[arms], self._steps[arms]
+        if self._noise.is_drawn:
+            self._noise.draw(rows, steps, self._randoms)
+        if senses is not None:
+            if senses.change_state:
+                angles, velocities = (
+                    self._body.joint_angles[arms],
+                    self._body.joint_velocities[arms],
+                )
+                true, positions = (
+                    Seen(angles, self._targets[arms], velocities, hands),
+                    self._body.end_effectors,
+                )
+                seen, is_seen = senses.sense(
+                    rows, steps, true, self._arms, self._noise, positions[arms]
+                )
+                if is_seen is not None:
+                    info["is_hand_seen"] = is_seen
+                observation = (self._compiled or setup).observe(seen)
+            observation = senses.transmit(rows, steps, observation, self._arms, self._noise)
+        if len(rows) == self.num_envs:
+            self._observation = observation
+        else:
+            put(self._observation, arms, observation)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Return which arms have their last target; only reaching that one is a success."""
@@ -516,30 +549,25 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _shown(self) -> Any:
         """Return the observations that `step` and `reset` return."""
-        arrived = self._arrived()
-        is_kept = self._copy and not self._late.is_late
-        return self._with_context(deepcopy(arrived) if is_kept else arrived)
+        observation = self._with_context(self._observation)
+        return (
+            deepcopy(observation)
+            if self._copy and observation is self._observation
+            else observation
+        )
 
     def _with_context(self, observation: Any) -> Any:
         """Return the observations of all arms with the context, if that is shown."""
         return with_context(observation, self._context_shown) if self.context_size else observation
 
-    def _arrived(self) -> Any:
-        """Return the observations that have arrived: the newest, or that of `delay` steps ago."""
-        return self._late.arrived(self._disturbance.delay)
-
     def _seen_hands(self, arms: Indices | slice) -> Floats:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
-        cursor = self._disturbance.cursor
+        cursor = self._cursor
         if cursor is None:
             return hands
         (x, y), targets = hands.T, self._targets[arms].T
         return np.stack(cursor.rows(arms).at(x, y, (targets[0], targets[1])), axis=-1)
-
-    def _sight(self, arms: Indices | slice) -> Floats:
-        """Return the present hands, or their cursors, and targets of these arms, (k, 2, 2)."""
-        return np.stack([self._seen_hands(arms), self._targets[arms]], axis=1)
 
     def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
         """Return the actions, (n, N), float32 or float64, with 0 for the waiting arms."""
@@ -567,13 +595,6 @@ class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
     def __init__(self, arguments: VectorGoalArguments) -> None:
         """Make the environment; the class docstrings explain the arguments."""
         self._make(GoalSetup, arguments)
-
-
-def pick(observation: Any, arms: Any) -> Any:
-    """Return the rows of `arms` from an observation, an array or a dict of arrays."""
-    if isinstance(observation, dict):
-        return {key: values[arms] for key, values in observation.items()}
-    return observation[arms]
 
 
 def of_arms(values: Any, arms: Indices) -> Any:

@@ -57,7 +57,7 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
     """Return the cause of a failed episode, one of `CAUSES`."""
     hands, targets = episode.seen_hands, episode.targets
     if (made := setup.first).lock_step > 0:
-        locked, cursor = made.body.lockable_joints, made.disturbance.cursor
+        locked, cursor = made.body.lockable_joints, made.cursor
         workspace = Workspace(made.body, setup.given_body, locked, cursor)
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"

@@ -34,13 +34,13 @@ class KnownBody(BodyAgent):
         parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
         super().__init__(interface, partial(settle_network, network_of_body(interface)), parts)
         self.episode: Episode = env.unwrapped.setup.first
-        self.late = min(self.episode.disturbance.delay, LONGEST_DELAY)
+        self.late = min(self.episode.delays["delay"], LONGEST_DELAY)
 
     @override
     def start(self, sensed: Sensed) -> BodyState:
         state, arms = super().start(sensed), len(sensed.joint_angles)
         shift, turn, is_mirrored = 0j, 1 + 0j, False
-        if (cursor := self.episode.disturbance.cursor) is not None:
+        if (cursor := self.episode.cursor) is not None:
             shift, x, y = (complex(*cursor.at(*hand, (0, 0))) for hand in ((0, 0), (1, 0), (0, 1)))
             turn = x - shift
             is_mirrored = ((y - shift) / turn).imag < 0

@@ -44,6 +44,9 @@ MIXTURES = [
     [OneOf("no-feedback", "endpoint-feedback-at-0.1", None), "vision-delay-0..60"],
     [OneOf("obstacles-1..3", "longer-0..20", None), "force-field-0..40-at-0.04-over-0.04"],
     [VisuomotorRotation(uniform(-60, 120), at=uniform(0, 0.2)), "clamp--30..30"],
+    ["motor-gain-0.3..1-of-2", "action-delay-0..60", "action-noise-0.1-at-0.04", "backlash"],
+    ["longer-0..30-of-1", "stuck-sensor-1..3-at-0.04-until-0.1", "held-numbers-0.3-for-2"],
+    [OneOf("locked-1..3-at-0.02-until-0.08", "dropped-actions-0..0.4", None), "encoder-16..64"],
 ]
 
 
@@ -398,7 +401,7 @@ def test_perturbations_change_through_the_vector_environments_of_stable_baseline
             "rotation-60..-60",
             "the range of rotation must be from a low to a strength that is not lower",
         ),
-        ("locked-1..5", "joint must be an index from -3 to 2"),
+        ("locked-1..5", "joint or segment must be from 1 to 3 .*, got 4"),
         ("longer-0..30-known", "agents are given their arm once"),
         (lambda: SegmentLength(uniform(-0.2, 1)), "strength of longer must be at least -99.9999"),
         (

@@ -10,6 +10,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.buffers import Noise
 from mmc_gym.envs.cursor import Cursor
 from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import (
@@ -29,7 +30,7 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.senses import Noise
+from mmc_gym.envs.senses import Senses
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import node_positions, segments_from_joint_angles, wrap_angle
@@ -159,11 +160,15 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, dist
     hands = np.zeros((count, 2))
     targets = hands + np.array([0.0, distance])
     true = Seen(still, targets, still + speed, hands)
-    levels = np.tile(setup.first.disturbance.noise, (count, 1))
-    noise, arms = Noise(count, 3, setup.episodes.touched), np.arange(count)
-    noise.begin(arms, levels)
+    arms, indices = setup.first.arms.rows(np.zeros(count, int)), np.arange(count)
+    noise = Noise(count, 3, setup.layout.size, setup.touched)
+    noise.begin(indices, arms)
     randoms = [np.random.default_rng(seed) for seed in range(count)]
-    seen = noise.disturb(true, levels, arms, 0 * arms, randoms)
+    noise.draw(indices, 0 * indices, randoms)
+    senses = Senses(
+        count, 3, setup.layout.size, setup.limits.delays, setup.touched, setup.control_step
+    )
+    seen, _ = senses.sense(indices, 0 * indices, true, arms, noise, hands)
     of_joints, of_sight = math.hypot(0.01, 0.02 * speed), math.hypot(0.01, 0.05 * distance)
     for errors, std in (
         (seen.joint_angles, of_joints),
@@ -250,7 +255,7 @@ def test_cursors_grow_add_up_and_are_seen_and_rewarded(task, perturbations, cent
             offset = turned(way, -math.degrees(joint_angles(env)[0]))
             seen = np.clip([offset.real, offset.imag], -limits, limits)
             np.testing.assert_allclose(observation[11:13], seen, atol=1e-6)
-            turn = env.disturbance.cursor
+            turn = env.cursor
             assert turn.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 
@@ -342,7 +347,7 @@ def test_a_cursor_jumps_to_the_left_once_the_hand_has_made_a_share_of_the_way():
         (CursorJump(10.0, share=0.2), (1.0, 1.0)),
     ):
         env = MMCReachEnv(task="centre-out", perturbations=change)
-        assert env.disturbance.cursor.at(1.0, 1.0, (0.0, 1.5)) == cursor
+        assert env.cursor.at(1.0, 1.0, (0.0, 1.5)) == cursor
 
 
 def clearance(env):
@@ -395,7 +400,7 @@ def test_what_cannot_be_or_be_combined_is_refused():
         (Obstacles(((0.0, 0.0, 1.0),)), "obstacles must leave room for the arm"),
         (VisuomotorRotation(180.0, centre=(20.0, 0.0)), "must leave targets in reach"),
         ("longer-500", "must leave targets in reach"),
-        (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
+        (SegmentLength(segment=3), r"joint or segment must be from 1 to 3 .*, got 4"),
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),
     ):
         with pytest.raises(UserError, match=message):

@@ -162,7 +162,11 @@ def test_help_lists_every_argument_with_its_default():
 @pytest.mark.parametrize(
     ("name", "mended", "hint"),
     [
-        ("locked-7", "locked-3", "locked-7 is not possible for this arm: .* joint 7 from the base"),
+        (
+            "locked-7",
+            "locked-3",
+            "locked-7 is not possible .* from 1 to 3 .*, got 7",
+        ),
         ("delay-5", "delay-20", "delay-5 would delay nothing: .* of 20 ms, such as delay-20"),
         ("pursuit+obstacles-2+longer-500", "longer-20", "must leave targets in reach"),
     ],

@@ -40,7 +40,7 @@ def setup_of(**arguments):
 
 def picture(angles, target=FAR, setup=None, **scene):
     setup = setup or setup_of()
-    shown = Scene(angles, target, cursor=setup.first.disturbance.cursor, **scene)
+    shown = Scene(angles, target, cursor=setup.first.cursor, **scene)
     return Renderer(setup, setup.first, "rgb_array").draw(shown) * 1.0
 
 

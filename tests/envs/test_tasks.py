@@ -214,7 +214,7 @@ def test_values_that_make_no_sense_are_refused(kind, values):
     ("make", "message"),
     [
         (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
-        (lambda: LockedJoint(1, time=-0.1), "time must be from 0 to 1000"),
+        (lambda: LockedJoint(1, time=-0.1), "at must be from 0 to 1000"),
         (lambda: SensoryDelay(math.inf), "strength must be a finite number, got inf"),
         (lambda: JointNoise(math.nan), "strength of joint-noise must be from 0 to 1e.09, got nan"),
         (lambda: VisuomotorRotation(30.0, centre=(0.0, math.inf)), "centre must be two finite"),
@@ -315,7 +315,7 @@ def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(lengths, sha
 @pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):
     env = MMCReachEnv(perturbations=VisuomotorRotation(degrees, centre=centre))
-    rotation, random = env.disturbance.cursor, np.random.default_rng(0)
+    rotation, random = env.cursor, np.random.default_rng(0)
     space = Workspace(ArmParameters(), cursor=rotation)
     for target in (space.draw_target(random, []) for _ in range(300)):
         assert space.contains(target)
