@@ -48,7 +48,7 @@ def agents_text() -> str:
         "## Names",
         "",
         "A scenario is a task with perturbations of any strength under one name:",
-        "`[<task>+]<perturbation>[-<strength>][-at-<s>][-over-<s>][-known][+<perturbation>…]`,",
+        "`[<task>+]<perturbation>[-<strength>][-of-<joint>][-at-<s>][-until-<s>][-known][+…]`,",
         "such as `delay-160`, `rotation-40-at-1` or `centre-out+longer-35-known`, for",
         "`mmc_gym.make(name, **arguments)`,",
         "`mmc_gym.make_vec(name, num_envs, **arguments)` and all commands. Only tasks have ids",
