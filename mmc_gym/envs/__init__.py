@@ -2,7 +2,7 @@
 
 import os
 
-from mmc_gym.envs.changes import Change, Family, OneOf, Range
+from mmc_gym.envs.changes import Change, Family, OneOf, Range, Walk
 from mmc_gym.envs.names import perturbation, register_all, register_task
 from mmc_gym.envs.scenarios import make, make_vec
 
@@ -14,6 +14,7 @@ __all__ = [
     "Family",
     "OneOf",
     "Range",
+    "Walk",
     "make",
     "make_vec",
     "perturbation",

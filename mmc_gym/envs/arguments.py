@@ -112,11 +112,14 @@ class VectorArguments(ReachArguments):
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
     threads: int = 1  #: that step the arms
     copy: bool = True  #: whether each observation is a new array; else the next step overwrites it
-    render_mode: None = None  #: `gym.make_vec` passes it on
+    render_mode: str | None = None  #: "rgb_array" returns a picture of each arm
+    width: int = 160  #: of a picture, pixels
+    height: int = 160  #: of a picture, pixels
 
     def __post_init__(self) -> None:
-        accepted = "left out; vectorization_mode='sync' draws"
-        require(self.render_mode is None, "render_mode", self.render_mode, accepted)
+        require_choice("render_mode", self.render_mode, (None, "rgb_array"))
+        require_whole("width", self.width, most=_MOST_PIXELS)
+        require_whole("height", self.height, most=_MOST_PIXELS)
         if self.max_episode_steps not in (None, "task"):
             require_whole("max_episode_steps", self.max_episode_steps)
         require_whole("num_envs", self.num_envs, most=_MOST_ARMS)

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from mmc_gym._errors import (
     UserError,
     require,
     require_between,
+    require_choice,
     require_known,
     require_number,
     require_numbers,
@@ -54,6 +55,48 @@ class Range:
 
 
 @dataclass(frozen=True)
+class Walk:
+    """A strength that changes from an arm's episode to its next, so that tasks are not stationary.
+
+    The first is uniformly distributed, and so is that of an episode with a seed of its own.  The
+    changes are those of the Real-World RL suite (Dulac-Arnold et al. 2021, Machine Learning
+    110:2419): normally distributed ("walk"), or their size, upward ("drift"), and from the end back
+    to the beginning ("cycle").  A negative `step` leads downward.
+    """
+
+    low: float
+    high: float
+    step: float  #: standard deviation of a change
+    kind: Literal["walk", "drift", "cycle"] = "walk"
+
+    def __post_init__(self) -> None:
+        require_choice("kind", self.kind, ("walk", "drift", "cycle"))
+        require_number("step", self.step, "a finite number")
+        require(self.low < self.high, "high", self.high, f"higher than {self.low:g}")
+
+    def support(self) -> tuple[float, float]:
+        """Return the least and the greatest strength."""
+        return self.low, self.high
+
+    def ppf(self, shares: Any) -> Any:
+        """Return the first strengths at the quantiles `shares` (0 to 1), in the same shape."""
+        return self.low + (self.high - self.low) * shares
+
+    def after(self, before: Any, shares: Any) -> Any:
+        """Return the strengths that follow those before, at the quantiles of the changes, (n,)."""
+        from scipy.special import ndtri  # `import mmc_gym` loads no scipy
+
+        change = self.step * ndtri(np.clip(shares, 1e-12, 1 - 1e-12))
+        if self.kind != "walk":
+            change = np.copysign(change, self.step)
+        strengths = before + change
+        if self.kind == "cycle":
+            is_over = (strengths >= self.high) if self.step > 0 else (strengths <= self.low)
+            strengths = np.where(is_over, self.low if self.step > 0 else self.high, strengths)
+        return np.clip(strengths, self.low, self.high)
+
+
+@dataclass(frozen=True)
 class InUnits:
     """A distribution in other units: `offset + factor · number`, with a positive factor."""
 
@@ -69,6 +112,13 @@ class InUnits:
     def ppf(self, shares: Any) -> Any:
         """Return the numbers at the quantiles `shares` (0 to 1), in the same shape."""
         return self.offset + self.factor * self.distribution.ppf(shares)
+
+    def after(self, before: Any, shares: Any) -> Any:
+        """Return the numbers of an episode, given those of the one before, see `Walk`."""
+        after = getattr(self.distribution, "after", None)
+        if after is None:
+            return self.ppf(shares)
+        return self.offset + self.factor * after((before - self.offset) / self.factor, shares)
 
 
 def ends_of(number: Any) -> tuple[float, float]:
@@ -285,7 +335,7 @@ class Change:
         text = self.family.description.format(digits(self.strength))
         parts = [text.removesuffix(" from the start") if self.at else text]
         if self.of is not None:
-            parts.append(f"{self.family.of} {digits(self.of)} from the base")
+            parts.append(f"{self.family.of or 'joint'} {digits(self.of)} from the base")
         if "steps" in dict(self.settings):
             parts.append(f"for {digits(dict(self.settings)['steps'])} control steps")
         if self.family.known:

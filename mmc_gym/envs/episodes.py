@@ -205,13 +205,19 @@ class Episodes:
 
     # Drawn numbers
 
-    def numbers(self, uniform: Floats) -> Floats:
-        """Return the m drawn numbers of k arms, (k, m), from uniform numbers in [0, 1), (k, m)."""
+    def numbers(self, uniform: Floats, before: Floats | None = None) -> Floats:
+        """Return the m drawn numbers of k arms, (k, m), from uniform numbers in [0, 1), (k, m).
+
+        What walks follows the numbers of the episodes `before`, (k, m); NaN before the first.
+        """
         drawn = np.empty_like(uniform)
         for place, strength in enumerate(self.strengths):
-            drawn[:, place] = np.clip(
-                strength.distribution.ppf(uniform[:, place]), strength.low, strength.high
-            )
+            distribution, shares = strength.distribution, uniform[:, place]
+            column = distribution.ppf(shares)
+            if before is not None and hasattr(distribution, "after"):
+                last = before[:, place]
+                column = np.where(np.isnan(last), column, distribution.after(last, shares))
+            drawn[:, place] = np.clip(column, strength.low, strength.high)
         return drawn
 
     def context(self, numbers: Floats) -> dict[str, Any]:
@@ -225,9 +231,14 @@ class Episodes:
             context[strength.name] = np.array(column) if np.ndim(column) else float(column)
         return context
 
-    def drawn(self, randoms: Sequence[np.random.Generator], context: Floats | None) -> Floats:
+    def drawn(
+        self,
+        randoms: Sequence[np.random.Generator],
+        context: Floats | None,
+        before: Floats | None = None,
+    ) -> Floats:
         """Return the numbers, (k, m), that k generators draw, with those of a context in place."""
-        numbers = self.numbers(uniform_numbers(randoms, len(self.strengths)))
+        numbers = self.numbers(uniform_numbers(randoms, len(self.strengths)), before)
         return numbers if context is None else np.where(np.isnan(context), numbers, context)
 
     def is_like(self, other: Episodes) -> bool:

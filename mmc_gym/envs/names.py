@@ -35,7 +35,7 @@ import gymnasium as gym
 
 from mmc_gym._errors import UserError, nearest, require, require_known, unknown
 from mmc_gym.envs import tasks as task_kinds
-from mmc_gym.envs.changes import AnyChange, Change, Family, InUnits, OneOf, Range
+from mmc_gym.envs.changes import AnyChange, Change, Family, InUnits, OneOf, Range, Walk
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.tasks import (
     DoubleStep,
@@ -206,7 +206,7 @@ def as_plain(value: Any) -> Any:
         more = {name: number for name, number in times.items() if number} | dict(value.settings)
         plain = {name: as_plain(number) for name, number in more.items()}
         return {"family": value.family.name, "strength": as_plain(value.strength), **plain}
-    if isinstance(value, Range | InUnits):
+    if isinstance(value, Range | InUnits | Walk):
         return {field.name: as_plain(getattr(value, field.name)) for field in fields(value)}
     if hasattr(value, "dist"):  # a frozen distribution of scipy.stats
         return {"name": value.dist.name, "args": list(value.args), **value.kwds}
@@ -233,6 +233,8 @@ def _from_plain(value: Any) -> Any:
     args = value.get("args")
     if entries.keys() == {"low", "high", "whole"}:
         kind = Range
+    elif entries.keys() == {"low", "high", "step", "kind"}:
+        kind = Walk
     elif entries.keys() == {"distribution", "factor", "offset"}:
         kind = InUnits
     elif args is not None:

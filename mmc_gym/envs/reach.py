@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import override
 
 from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
@@ -154,6 +155,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
         self._ghost: list[float] | None = None
         self._is_started = False
+        self._before: Floats | None = None  # numbers drawn for the last episode, (1, m)
         self._place([0.0] * setup.joint_count, [(setup.reach, 0.0)])
 
     def reset(
@@ -170,8 +172,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             setup.episodes_beyond(checked.context, [random])
         super().reset(seed=seed)
         if setup.episodes.is_drawn:
-            numbers = setup.episodes.drawn([self.np_random], checked.context)[0]
-            self._begin(setup, setup.episode(numbers))
+            before = self._before if seed is None else None
+            self._before = setup.episodes.drawn([self.np_random], checked.context, before)
+            self._begin(setup, setup.episode(self._before[0]))
         elif self.setup is not setup:
             self._begin(setup, setup.first)
         self._is_started = True
@@ -211,6 +214,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
         return observation, reward, setup.terminates and bool(info["is_success"]), False, info
+
+    @override
+    def _take(self, setup: ReachSetup) -> None:
+        super()._take(setup)
+        self._before = None
 
     @property
     def arm(self) -> SingleArm:

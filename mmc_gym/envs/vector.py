@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
@@ -47,6 +49,7 @@ from mmc_gym.interface import Seen, relative_speeds
 if TYPE_CHECKING:
     from mmc_gym.body.analytic.arms import AnalyticArmBatch
     from mmc_gym.envs.compiled import CompiledStep
+    from mmc_gym.envs.render import Renderer
 
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
@@ -69,13 +72,17 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (by default the task's; None: no
     limit), `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
     "Disabled"), `threads` that step the arms (1), and `copy` (True: each observation is a new
-    array; False: the next step overwrites it), as in Gymnasium's vector environments.  It draws no
-    pictures; `vectorization_mode="sync"` does.
+    array; False: the next step overwrites it), as in Gymnasium's vector environments.  Its
+    `render_mode` is "rgb_array" or None, and pictures have 160 × 160 pixels by default.
 
     It cannot be pickled or copied: make a new one.
     """
 
-    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     @takes(VectorArguments)
     def __init__(self, arguments: VectorArguments) -> None:
@@ -90,6 +97,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.num_envs = num_envs = arguments.num_envs
         self.autoreset_mode = AutoresetMode(arguments.autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.metadata["render_fps"] = setup.frame_rate
+        self.render_mode = arguments.render_mode
+        self._renderers: dict[int, Renderer] = {}  # of arms in their present episodes
+        self._trace: deque[Floats] = deque(maxlen=max(2, setup.frame_rate))  # hands, one second
         self.single_action_space = setup.action_space
         self.single_observation_space = space = setup.observation_space
         self.action_space = batch_space(setup.action_space, num_envs)
@@ -101,6 +112,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         first = setup.first.numbers[None]
         self._numbers = np.tile(first, (num_envs, 1))
         self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
+        self._before = np.full_like(self._numbers, np.nan)  # drawn for the episodes before
         self._context: dict[str, Any] = {}  # of all arms, if it is known
         #: of all arms, at the present time
         self._arms = setup.first.arms.rows(np.zeros(num_envs, dtype=np.intp))
@@ -181,6 +193,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 require(can_become, name, dict(zip(names, episode.numbers)), accepted)
                 self._make_room(episode.delays)
         self._randoms, self._seeds = map(list, zip(*generators, strict=True))
+        self._before[[seed is not None for seed in seeds]] = np.nan
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
         _, info = self._look_at(arms)
@@ -220,6 +233,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._body.lock(np.flatnonzero(is_now[0]))
             self._body.unlock(np.flatnonzero(is_now[1]))
         rewards[waiting] = 0.0
+        if self.render_mode is not None:
+            self._trace.append(self._body.end_effectors.copy())
         terminations = self.setup.terminates & info["is_success"]
         terminations[waiting] = False
         truncations = self._steps >= (self.max_episode_steps or sys.maxsize)
@@ -244,6 +259,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         can_become = all(self._body.can_become(0, body) for body in setup.limits.bodies)
         require(can_become or not setup.bodies_differ, "perturbations", names, accepted)
         self.setup = setup
+        self._before[:] = np.nan
         self.single_observation_space = setup.observation_space
         self.observation_space = batch_space(setup.observation_space, self.num_envs)
         self._make_room(setup.limits.delays)
@@ -254,6 +270,36 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._motors.grow(delays["action_delay"])
         if self._senses is not None:
             self._senses.grow(delays)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture of each arm, (height, width, 3); `RecordVideo` of vectors tiles them.
+
+        Without a `render_mode` it warns and returns None.
+        """
+        if self.render_mode is None:
+            gym.logger.warn("render() needs gym.make_vec(..., render_mode='rgb_array')")
+            return None
+        return tuple(self._picture(arm) for arm in self._all.tolist())
+
+    def _picture(self, arm: int) -> NDArray[np.uint8]:
+        from mmc_gym.envs.render import Renderer, Scene
+
+        if arm not in self._renderers:
+            setup, size = self.setup, (self._arguments.width, self._arguments.height)
+            episode = setup.episode(self._numbers[arm]) if setup.episodes.is_drawn else setup.first
+            self._renderers[arm] = Renderer(setup, episode, "rgb_array", size)
+        steps, hands = int(self._steps[arm]), [hands[arm].tolist() for hands in self._trace]
+        path = self._paths[arm, : self._last_places[arm] + 1].tolist()
+        scene = Scene(
+            self._body.segment_angles[arm].tolist(),
+            tuple(self._targets[arm].tolist()),
+            trace=[(x, y) for x, y in hands[-1 - steps :]],
+            path=[(x, y) for x, y in path],
+            steps=steps,
+            cursor=None if self._cursor is None else self._cursor.row(arm),
+            observation=None if self._senses is None else self._observation[arm],
+        )
+        return cast("NDArray[np.uint8]", self._renderers[arm].draw(scene))
 
     @property
     def arms(self) -> ArmBatch:
@@ -312,11 +358,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         is_together = setup.limits.have_rings and setup.trials.are_random and not options.has_trial
         count = len(episodes.strengths)
         uniform = uniform_numbers(randoms, count + more * is_together)
-        numbers = episodes.numbers(uniform[:, :count])
+        numbers = episodes.numbers(uniform[:, :count], self._before[arms])
         if options.context is not None:
             context = options.context[arms]
             numbers = np.where(np.isnan(context), numbers, context)
-        self._numbers[arms], self._context = numbers, {}
+        self._numbers[arms] = self._before[arms] = numbers
+        self._context = {}
         drawn = setup.first.arms.rows(0 * arms)
         if episodes.is_drawn:
             self._context_shown[arms], drawn = setup.context_of(numbers), episodes.arms(numbers)
@@ -341,6 +388,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self._motors is not None:
             self._motors.begin(arms, setup.rest(self._body.joint_angles[arms]))
         self._body.lock(arms[self._lock_steps[0, arms] == 0])
+        for arm in arms.tolist() if self._renderers else ():
+            self._renderers.pop(arm, None)
+        if self.render_mode is not None:
+            if not self._trace:
+                self._trace.append(self._body.end_effectors.copy())
+            self._trace[-1][arms] = self._body.end_effectors[arms]
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
         if self.setup.channel is not None:

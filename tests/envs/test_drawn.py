@@ -1,5 +1,6 @@
 """Facts about perturbations that are drawn for each episode, single and vector."""
 
+import json
 from copy import deepcopy
 from itertools import cycle
 
@@ -12,7 +13,8 @@ from scipy import stats
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.envs.names import parse_change
+from mmc_gym.envs.changes import Walk
+from mmc_gym.envs.names import as_change, as_plain, parse_change
 from mmc_gym.envs.perturbations import (
     FAMILIES,
     HandMass,
@@ -432,3 +434,45 @@ def test_a_range_is_a_name():
     assert scenario.settings != parse_scenario("longer--30..30+joint-noise-0..0.05").settings
     plain = as_json({"one": VisuomotorRotation(uniform(-60, 120))})
     assert plain["one"]["strength"] == {"name": "uniform", "args": [-60, 120]}
+
+
+def strengths_of(env, episodes, **first):
+    """Return the drawn rotations of so many episodes."""
+    infos = [env.reset(**first)[1], *(env.reset()[1] for _ in range(episodes - 1))]
+    return np.array([info["context"]["rotation"] for info in infos])
+
+
+@pytest.mark.parametrize("kind", ["walk", "drift", "cycle"])
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_strength_walks_from_episode_to_episode(kind, engine):
+    made = {"perturbations": VisuomotorRotation(Walk(-60, 60, 8, kind)), "engine": engine}
+    native = gym.make_vec("MMCReach-v0", num_envs=3, **made)
+    sync = gym.make_vec("MMCReach-v0", vectorization_mode="sync", num_envs=3, **made)
+    walked = strengths_of(native, 60, seed=4)
+    np.testing.assert_array_equal(walked, strengths_of(sync, 60, seed=4))
+    np.testing.assert_array_equal(walked[:2], strengths_of(native, 2, seed=4))  # a seed restarts
+    changes = np.diff(walked, axis=0)
+    is_inside = np.abs(walked[1:]) < 60
+    if kind == "walk":
+        assert 5 < changes[is_inside].std() < 11
+    else:
+        backward = changes < 0
+        assert backward.any() == (kind == "cycle")
+        assert np.all(walked[1:][backward] == -60)  # and only from the end
+
+
+def test_a_walk_is_copied_restarts_and_survives_a_file():
+    walk = VisuomotorRotation(Walk(-60.0, 60.0, 5.0))
+    env = gym.make("MMCReach-v0", perturbations=walk)
+    strengths_of(env, 5, seed=1)
+    copied = deepcopy(env)
+    np.testing.assert_array_equal(strengths_of(env, 5), strengths_of(copied, 5))
+    assert as_change(json.loads(json.dumps(as_plain(walk)))) == walk
+    env.unwrapped.set_perturbations([VisuomotorRotation(Walk(0.0, 90.0, 1.0))])
+    assert np.all(strengths_of(env, 3) >= 0)
+    _, info = env.reset(options={"context": {"rotation": 45.0}})
+    assert info["context"]["rotation"] == 45
+    assert abs(strengths_of(env, 1)[0] - 45) < 6  # it goes on from there
+    for step, low, kind in ((np.inf, 0, "walk"), (1, 2, "walk"), (1, 0, "jump")):
+        with pytest.raises(UserError, match=r"must be|is not"):
+            Walk(low, 1, step, kind)
