@@ -8,6 +8,7 @@ from unittest.mock import Mock
 
 import pytest
 
+from mmc_gym._cells import list_differences
 from mmc_gym._files import read_yaml, write_atomically
 
 # Writes again and again, and is killed in the middle of it.
@@ -74,3 +75,14 @@ def test_yaml_may_override_what_it_merges_and_has_an_end():
     assert read_yaml("{a: &a {x: 1}, b: {<<: *a, x: 2}}") == {"a": {"x": 1}, "b": {"x": 2}}
     with pytest.raises(ValueError, match="it is nested too deeply"):
         read_yaml("[" * 500)
+
+
+def test_differences_of_settings_are_named_down_to_the_entry():
+    first = {"blocks": [{"trials": 2, "rest": 0.0}], "seed": 0, "noise": [{"name": "a"}]}
+    second = {"blocks": [{"trials": 3, "rest": 0.0}, {"trials": 1}], "seed": 0}
+    assert list(list_differences(first, second)) == [
+        "blocks.0.trials 2 and 3",
+        "blocks.1 None and {'trials': 1}",
+        "noise [{'name': 'a'}] and None",
+    ]
+    assert not [*list_differences(first, first)]

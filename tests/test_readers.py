@@ -13,11 +13,11 @@ import yaml
 
 import mmc_gym
 from mmc_gym import UserError
+from mmc_gym._cells import CONTENT, SEAL, cell_content, parse_cell
 from mmc_gym._files import UNSEALED, YAML_MOST, read_yaml, seal
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
 from mmc_gym.benchmark import store
-from mmc_gym.benchmark.store import Kept, read_table, to_parquet
 from mmc_gym.experiments import trials
 from mmc_gym.experiments.experiment import TRIALS_MOST, Block, Experiment, find_experiment
 from mmc_gym.network import LearnedNormalizer
@@ -49,9 +49,9 @@ def a_store(tmp_path):
 
 def with_settings(file, settings):
     """Let a file of trials have other settings, with checksums that fit."""
-    table, kept = read_table(file.read_bytes())
+    table, _, facts = parse_cell(file.read_bytes())
     columns = dict(zip(table.column_names, table.columns))
-    file.write_bytes(to_parquet(columns, Kept(settings, kept.facts)))
+    file.write_bytes(cell_content(columns, settings, facts))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -71,21 +71,21 @@ def test_names_in_an_experiment_are_perturbations_and_nothing_else(name, bait, t
 @pytest.mark.parametrize("name", NAMES[:3])
 def test_what_a_file_of_trials_names_is_looked_up(name, bait, tmp_path):
     file = a_store(tmp_path)
-    settings = json.loads(json.dumps(read_table(file.read_bytes())[1].settings))
+    settings = json.loads(json.dumps(parse_cell(file.read_bytes()).settings))
     settings["experiment"]["blocks"][0]["perturbations"] = [name]
     for wrong in ({}, settings):  # another kind of file, or not of the digest in its name
         with_settings(file, wrong)
         with pytest.raises(UserError, match=f"{file.name} is damaged"):
             write_report(tmp_path, tmp_path / "report.html")
     with pytest.raises(UserError, match="is not accepted"):
-        trials._result([read_table(file.read_bytes())])
+        trials._result([parse_cell(file.read_bytes())])
 
 
 @pytest.mark.parametrize("content", ["[" * 100_000, "3", "[]", '{"settings": 1}', '{"facts": []}'])
 def test_metadata_that_are_no_settings_are_damage(content, tmp_path):
     file = a_store(tmp_path)
-    table, _ = read_table(file.read_bytes())
-    metadata = {store._CONTENT: content, store._SEAL: UNSEALED}
+    table = parse_cell(file.read_bytes()).table
+    metadata = {CONTENT: content, SEAL: UNSEALED}
     pq.write_table(table.replace_schema_metadata(metadata), file)
     file.write_bytes(seal(file.read_bytes()))
     with pytest.raises(UserError, match="is damaged, remove it: its metadata"):

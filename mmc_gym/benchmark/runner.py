@@ -350,15 +350,15 @@ def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
 def _found(out: Path) -> dict[str, Any]:
     """Return the fields of `Manifest` that follow from all cells of a store, of other runs, too."""
     versions, fingerprints, controls = defaultdict(set), defaultdict(set), defaultdict(set)
-    kept = kept_cells(out)
-    for settings, facts in kept.values():
-        for name, one in facts["software"].items():
-            versions[name].add(one)
+    cells = kept_cells(out)
+    for _, settings, facts in cells.values():
+        for library, number in facts["software"].items():
+            versions[library].add(number)
         fingerprints[settings["source"]].add(settings["fingerprint"])
         controls[settings["source"]].add(facts.get("control", ""))
     return {
-        "cpu_seconds": {stem: one.facts["cpu_seconds"] for stem, one in kept.items()},
-        "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
-        "controls": {source: ", ".join(sorted(found)) for source, found in controls.items()},
-        "changed": [source for source, found in fingerprints.items() if len(found) > 1],
+        "cpu_seconds": {stem: cell.facts["cpu_seconds"] for stem, cell in cells.items()},
+        "versions": {name: ", ".join(sorted(values)) for name, values in versions.items()},
+        "controls": {source: ", ".join(sorted(modes)) for source, modes in controls.items()},
+        "changed": [source for source, digests in fingerprints.items() if len(digests) > 1],
     }

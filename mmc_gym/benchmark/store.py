@@ -5,17 +5,12 @@
     manifest.json                                the settings that all of it was made with
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
-an environment.  Every file is written atomically and carries, in its schema's metadata, the
-settings that it was made with and the SHA-256 of the whole file: damaged or outdated cells are
-played again.
+an environment.  Damaged or outdated cells are played again (`mmc_gym._cells`).
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,24 +19,22 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
-import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from filelock import FileLock
 from pydantic import BaseModel, ConfigDict, ValidationError, with_config
 from typing_extensions import TypedDict
 
+from mmc_gym._cells import Cell, CellFiles, cell_content, safe_name
 from mmc_gym._errors import UserError, explain
-from mmc_gym._files import UNSEALED, check_seal, digest_of, require_path, seal, write_atomically
+from mmc_gym._files import digest_of, require_path, write_atomically
 from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, Episode, measure_all
 
 MANIFEST = "manifest.json"
 EPISODES, PATHS, TRIALS = "episodes", "paths", "trials"
-_CONTENT, _SEAL = b"mmc_gym", b"mmc_gym_sha256"  # keys in a file's metadata, in this order
 _DIGEST = "sha256"  # key in the manifest: the digest of its other entries
 _KEY = ("agent", "training_seed", "environment")  # columns that name a cell
 _SHARED = ("episodes", "seed", "environment")  # settings that all cells of a scenario share
 _CURSOR = ("cursor_x", "cursor_y")
-_PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
 
 class CellKey(NamedTuple):
@@ -59,7 +52,7 @@ class CellKey(NamedTuple):
         ('ppo--3--random', 'mmc--random')
         """
         seed = () if self.training_seed is None else (str(self.training_seed),)
-        return "--".join([_slug(self.agent), *seed, _slug(self.environment)])
+        return "--".join([safe_name(self.agent), *seed, safe_name(self.environment)])
 
     @property
     def file_name(self) -> str:
@@ -67,11 +60,15 @@ class CellKey(NamedTuple):
         return f"{self.stem}.parquet"
 
 
-def _slug(name: str) -> str:
-    if _PLAIN.fullmatch(name) and "--" not in name:
-        return name
-    plain = "-".join(re.findall(r"[a-z0-9_]+", name.lower()))
-    return f"{plain}~{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+def _check_name(cell: Cell, path: Path) -> None:
+    stem = CellKey(*(cell.table[name][0].as_py() for name in _KEY)).stem if len(cell.table) else ""
+    if stem not in ("", path.stem):
+        raise ValueError(f"it is a copy of {stem}{path.suffix}")
+
+
+_FILES = {
+    kind: CellFiles(kind, _check_name, "the benchmark makes it anew") for kind in (EPISODES, PATHS)
+}
 
 
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
@@ -107,7 +104,7 @@ def episodes_file(
         "instance": np.arange(len(episodes), dtype=np.int32),
         **episode_columns(episodes),
     }
-    return to_parquet(columns, Kept(settings, facts))
+    return cell_content(columns, settings, facts)
 
 
 def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
@@ -137,7 +134,7 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
         "step": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
         **{name: values.astype(np.float32) for name, values in numbers.items()},
     }
-    return to_parquet(columns)
+    return cell_content(columns)
 
 
 def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
@@ -146,60 +143,6 @@ def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
         "training_seed": pa.array([key.training_seed] * rows, pa.int64()),
         "environment": pa.array([key.environment] * rows, pa.string()),
     }
-
-
-class Kept(NamedTuple):
-    """Settings and facts of a cell, see `episodes_file`."""
-
-    settings: Mapping[str, Any] = {}
-    facts: Mapping[str, Any] = {}
-
-
-def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
-    """Return columns as a Parquet file whose metadata hold settings, facts and its SHA-256."""
-    metadata = {_CONTENT: json.dumps((kept or Kept())._asdict()), _SEAL: UNSEALED}
-    table = pa.table(dict(columns)).replace_schema_metadata(metadata)
-    buffer = io.BytesIO()
-    pq.write_table(
-        table,
-        buffer,
-        compression="lz4",
-        use_dictionary=["agent", "environment"],  # numbers hardly repeat
-        write_statistics=False,
-    )
-    return seal(buffer.getvalue())
-
-
-def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Return a cell's table, settings and facts; a `UserError` if damaged or another cell's."""
-    try:
-        table, kept = read_table(path.read_bytes(), columns)
-        stem = CellKey(*(table[one][0].as_py() for one in _KEY)).stem if len(table) else path.stem
-        if stem != path.stem:
-            raise ValueError(f"it is a copy of {stem}{path.suffix}")
-        return table, kept
-    except (FileNotFoundError, PermissionError):
-        raise
-    except (OSError, pa.ArrowException, KeyError, ValueError) as error:
-        raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
-
-
-def read_table(content: bytes, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
-    """Return a file's table, settings and facts.
-
-    Raises:
-        ValueError: if the content is not as `to_parquet` made it; it is then not parsed.
-    """
-    # Thrift puts its type and length, two bytes, before the SHA-256.
-    check_seal(content, content.rpartition(_SEAL)[2][2:66].decode(errors="replace"))
-    file = pq.ParquetFile(pa.BufferReader(content))
-    try:
-        kept = Kept(**json.loads(file.schema_arrow.metadata[_CONTENT]))
-        if not all(isinstance(one, dict) for one in kept):
-            raise TypeError("they must be mappings")
-    except (TypeError, RecursionError) as error:
-        raise ValueError(f"its metadata are no settings and facts: {error}") from error
-    return file.read(columns, use_threads=False), kept  # one thread is faster for small files
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
@@ -213,30 +156,27 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
 
 
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the facts kept about a cell; None if it must be played again.
+    """Return the facts kept about a cell; None if it must be played (again).
 
     That is so if it is missing or damaged, has other settings, or lacks one of the measures.
     """
-    try:
-        table, kept = _read(folder / EPISODES / key.file_name)
-        if kept.facts.get("has_paths"):
-            _read(folder / PATHS / key.file_name)  # only to see that they are not damaged
-    except (FileNotFoundError, UserError):
+    cell = _FILES[EPISODES].find(folder / EPISODES / key.file_name, settings)
+    if cell is None or not MEASURES.keys() <= set(cell.table.column_names):
         return None
-    is_same = kept.settings == json.loads(json.dumps(settings))  # a file has lists for tuples
-    has_all = MEASURES.keys() <= set(table.column_names)
-    return kept.facts if is_same and has_all else None
+    paths = folder / PATHS / key.file_name  # of no settings
+    is_whole = not cell.facts.get("has_paths") or _FILES[PATHS].find(paths, {}) is not None
+    return cell.facts if is_whole else None
 
 
-def kept_cells(folder: Path) -> dict[str, Kept]:
-    """Return settings and facts of all cells that are not damaged, by the stem of their files."""
-    found = {}
-    for path in _files(folder, EPISODES):
-        with suppress(OSError, pa.ArrowException, ValueError):
-            _, kept = read_table(path.read_bytes(), [])
-            if {"software", "cpu_seconds"} <= kept.facts.keys():  # else it is no cell
-                found[path.stem] = kept
-    return found
+def kept_cells(folder: Path) -> dict[str, Cell]:
+    """Return all cells that are not damaged, without their episodes, by the stem of their files."""
+    cells = {}
+    for path in _FILES[EPISODES].paths(folder):
+        with suppress(OSError, UserError):
+            cell = _FILES[EPISODES].read(path, _KEY)
+            if {"software", "cpu_seconds"} <= cell.facts.keys():  # else it is no cell
+                cells[path.stem] = cell
+    return cells
 
 
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -247,19 +187,21 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
     Raises:
         UserError: if there are none, or a file is damaged, missing, or of other settings.
     """
-    folder, shared = require_path("folder", folder), dict[str, tuple[Path, Mapping[str, Any]]]()
-    chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
-    has_paths = bool(_files(folder, PATHS))  # they may be left out as a whole
+    folder = require_path("folder", folder)
+    names = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
+    has_paths = bool(_FILES[PATHS].paths(folder))  # they may be left out as a whole
     tables = []
-    for file in _files(folder, EPISODES):
-        table, kept = _read(file, chosen)
-        if has_paths and kept.facts.get("has_paths"):
-            _require_file(folder / PATHS / file.name)
-        own = {name: kept.settings.get(name) for name in _SHARED}
-        other, theirs = shared.setdefault(file.stem.rpartition("--")[2], (file, own))
-        if own != theirs:
-            raise UserError(f"{file} must be of the same settings as {other}: play it again")
-        tables.append(table)
+    first_files: dict[str, tuple[Path, Mapping[str, Any]]] = {}  # of each scenario
+    for path in _FILES[EPISODES].paths(folder):
+        cell = _FILES[EPISODES].read(path, names)
+        if has_paths and cell.facts.get("has_paths"):
+            _require_file(folder / PATHS / path.name)
+        shared = {name: cell.settings.get(name) for name in _SHARED}
+        scenario = path.stem.rpartition("--")[2]
+        first_path, first_shared = first_files.setdefault(scenario, (path, shared))
+        if shared != first_shared:
+            raise UserError(f"{path} must be of the same settings as {first_path}: play it again")
+        tables.append(cell.table)
     frame = _joined(tables)
     if frame.empty:
         why = "".join(f"; {line}" for line in reasons(read_manifest(folder).not_played))
@@ -280,26 +222,22 @@ def _require_file(path: Path) -> None:
 
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
     """Return the stored paths of `cells` (all if None), see `paths_file`; cursors are filled in."""
-    files = _files(require_path("folder", folder), PATHS)
+    files = _FILES[PATHS].paths(require_path("folder", folder))
     if cells is not None:
         names = {cell.file_name for cell in cells}
-        files = [file for file in files if file.name in names]
-    frame = _joined(_read(file)[0] for file in files)
+        files = [path for path in files if path.name in names]
+    frame = _joined([_FILES[PATHS].read(path).table for path in files])
     for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")) if len(frame) else ():
         frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
 
 
-def _files(folder: Path, kind: str) -> list[Path]:
-    return sorted((folder / kind).glob("[!.]*.parquet"), key=lambda path: path.name)
-
-
-def _joined(found: Iterable[pa.Table]) -> pd.DataFrame:
-    tables = [table.replace_schema_metadata(None) for table in found]
+def _joined(tables: Sequence[pa.Table]) -> pd.DataFrame:
     if not tables:
         return pd.DataFrame()
+    plain = [table.replace_schema_metadata(None) for table in tables]
     # A store may be older than a measure, or hold arms of different numbers of joints.
-    frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
+    frame: pd.DataFrame = pa.concat_tables(plain, promote_options="permissive").to_pandas()
     return frame.astype({"training_seed": "Int64"})
 
 

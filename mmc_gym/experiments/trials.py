@@ -23,21 +23,15 @@ from functools import cached_property, lru_cache, partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from mmc_gym._errors import (
-    UserError,
-    require,
-    require_arguments,
-    require_names,
-    require_whole,
-    shown,
-)
+from mmc_gym._cells import Cell, CellFiles, cell_content, list_differences, parse_cell, safe_name
+from mmc_gym._errors import UserError, require, require_arguments, require_names, require_whole
 from mmc_gym._files import (
     UNSEALED,
     check_folder,
@@ -54,7 +48,7 @@ from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.body_model.parts import LEARNED, Parts
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve_all
-from mmc_gym.benchmark.store import TRIALS, CellKey, Kept, read_table, to_parquet
+from mmc_gym.benchmark.store import TRIALS
 from mmc_gym.benchmark.suite import SET_BY_SCENARIOS, make_player
 from mmc_gym.envs.scenarios import as_json
 from mmc_gym.experiments.adaptation import BEFORE_FEEDBACK
@@ -72,7 +66,6 @@ _OF_PARTS = 1  # last number of the seed that draws a subject's parts
 _SUBJECTS = 20  # most subjects in a cell
 _TOGETHER = 1_000  # most trials played at once, to bound memory
 _PATHS = {"hands": "hands", "cursors": "seen_hands", "targets": "targets"}  # in `Episode`
-_Cell: TypeAlias = tuple[pa.Table, Kept]
 
 
 class Player(NamedTuple):
@@ -159,11 +152,23 @@ class TrialsCell:
 
 def _stem(agent: str, settings: Mapping[str, Any]) -> str:
     digest = digest_of({**settings, "subjects": None})[:8]
-    return f"{CellKey(agent, None, settings['experiment']['name']).stem}.{digest}"
+    return f"{safe_name(agent)}--{safe_name(settings['experiment']['name'])}.{digest}"
 
 
-def _file_name(stem: str, subjects: range) -> str:
-    return f"{stem}.{subjects.start}-{subjects.stop - 1}.parquet"
+def _file_name(stem: str, subjects: Sequence[int]) -> str:
+    return f"{stem}.{subjects[0]}-{subjects[-1]}.parquet"
+
+
+def _check_name(cell: Cell, path: Path) -> None:
+    if "experiment" not in cell.settings:
+        raise ValueError("it holds no trials of an experiment")
+    stem = _stem(cell.table["agent"][0].as_py(), cell.settings)
+    name = _file_name(stem, cell.settings["subjects"])
+    if name != path.name:
+        raise ValueError(f"it is {name}")
+
+
+_FILES = CellFiles(TRIALS, _check_name, "remove it")
 
 
 def _in_files(subjects: int) -> Iterator[range]:
@@ -289,7 +294,7 @@ def run_cell(cell: TrialsCell) -> bytes:
     else:
         session.play_by_condition(player.agent)
     facts = {"control_step": player.control_step, "tolerance": player.tolerance}
-    return to_parquet(session.columns(player.control_step), Kept(cell.settings, facts))
+    return cell_content(session.columns(player.control_step), cell.settings, facts)
 
 
 def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
@@ -394,19 +399,19 @@ def run_experiment(
             write_atomically(plan, seal(json.dumps(entries).encode()))
     cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
     paths = [folder and folder / _file_name(one.stem, one.subjects) for one in cells]
-    kept = [_content(path, cell) if path else None for path, cell in zip(paths, cells)]
-    missing = [number for number, content in enumerate(kept) if content is None]
-    warn_of_unseen(cell.settings for cell, content in zip(cells, kept) if content is not None)
+    kept = [path and _FILES.find(path, cell.settings) for path, cell in zip(paths, cells)]
+    missing = [number for number, stored in enumerate(kept) if stored is None]
+    warn_of_unseen(cell.settings for cell, stored in zip(cells, kept) if stored)
     on_progress(len(cells) - len(missing), len(cells))
 
     def keep_file(index: int, content: bytes) -> None:
-        kept[missing[index]] = content
+        kept[missing[index]] = parse_cell(content)
         if path := paths[missing[index]]:
             write_atomically(path, content)
         on_progress(len(cells) - kept.count(None), len(cells))
 
     run_grid(run_cell, [cells[number] for number in missing], jobs=jobs, on_result=keep_file)
-    return _result([read_table(content) for content in kept if content is not None])
+    return _result([cell for cell in kept if cell])
 
 
 def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -418,48 +423,22 @@ def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
     return {name: getattr(parts, name) for name in LEARNED}
 
 
-def _content(path: Path, cell: TrialsCell) -> bytes | None:
-    """Return the content of a cell's file; None if missing, damaged, or of other settings."""
-    try:
-        content = path.read_bytes()
-        _, found = _read(path, content)
-    except (FileNotFoundError, UserError):
-        return None
-    return content if found.settings == cell.settings else None
-
-
-def _read(path: Path, content: bytes) -> _Cell:
-    """Return the table and settings of a file; raise a `UserError` if it is damaged or renamed."""
-    try:
-        table, kept = read_table(content)
-        if "experiment" not in kept.settings:
-            raise ValueError("it holds no trials of an experiment")
-        subjects = kept.settings["subjects"]
-        stem = _stem(table["agent"][0].as_py(), kept.settings)
-        name = _file_name(stem, range(subjects[0], subjects[-1] + 1))
-        if name != path.name:
-            raise ValueError(f"it is {name}")
-    except (OSError, pa.ArrowException, ValueError, LookupError, TypeError) as error:
-        raise UserError(f"{path} is damaged, remove it: {error}") from error
-    return table, kept
-
-
-def _result(cells: Sequence[_Cell]) -> ExperimentResult:
-    tables, kept = zip(*cells, strict=True)
-    table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
+def _result(cells: Sequence[Cell]) -> ExperimentResult:
+    first = cells[0]
+    table = pa.concat_tables(cell.table.replace_schema_metadata(None) for cell in cells)
     paths = {
         name: table[name].combine_chunks().flatten().to_numpy().reshape(len(table), -1, 2)
         for name in _PATHS
     }
     trials = table.drop_columns(list(_PATHS)).to_pandas()
     described = describe_movements(
-        **paths, go_steps=trials["go_step"], early=BEFORE_FEEDBACK, **kept[0].facts
+        **paths, go_steps=trials["go_step"], early=BEFORE_FEEDBACK, **first.facts
     )
     return ExperimentResult(
-        experiment=Experiment(**kept[0].settings["experiment"]),
+        experiment=Experiment(**first.settings["experiment"]),
         trials=trials.assign(**described),
         **paths,
-        control_step=kept[0].facts["control_step"],
+        control_step=first.facts["control_step"],
     )
 
 
@@ -470,50 +449,39 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
         UserError: if a file is missing or damaged, or files of the same agent or experiment have
             different settings.
     """
-    found: dict[str, list[_Cell]] = {}
-    first: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}
-    for path in _planned_files(require_path("folder", folder) / TRIALS):
-        table, kept = cell = _read(path, path.read_bytes())
-        name, agent = kept.settings["experiment"]["name"], table["agent"][0].as_py()
-        stem, settings = _stem(agent, kept.settings), {**kept.settings, "subjects": None}
-        shared = {one: settings[one] for one in ("experiment", "seed", "env_kwargs")}
-        for who, own in (((agent, name), settings), ((name,), shared)):
-            other, theirs = first.setdefault(who, (stem, own))
-            if differences := "; ".join(_differences(theirs, own)):
+    cells: dict[str, list[Cell]] = {}
+    first_cells: dict[tuple[str, ...], tuple[str, Mapping[str, Any]]] = {}
+    for path in _planned_files(require_path("folder", folder)):
+        cell = _FILES.read(path)
+        name, agent = cell.settings["experiment"]["name"], cell.table["agent"][0].as_py()
+        stem, parts = _stem(agent, cell.settings), cell.settings["parts"]
+        settings = {**cell.settings, "subjects": None, "parts": None, **parts}
+        shared_settings = {key: settings[key] for key in ("experiment", "seed", "env_kwargs")}
+        for scope, cell_settings in (((agent, name), settings), ((name,), shared_settings)):
+            first_stem, first_settings = first_cells.setdefault(scope, (stem, cell_settings))
+            if differences := "; ".join(list_differences(first_settings, cell_settings)):
                 raise UserError(
-                    f"{path.parent} must hold {' in '.join(who)} of the same settings, got "
-                    f"{differences}: remove {other}.* or {stem}.*, and play it into another folder "
-                    "or under another name (LABEL=...)"
+                    f"{path.parent} must hold {' in '.join(scope)} of the same settings, got "
+                    f"{differences}: remove {first_stem}.* or {stem}.*, and play it into another "
+                    "folder or under another name (LABEL=...)"
                 )
-        found.setdefault(name, []).append(cell)
-    return [_result(found[name]) for name in sorted(found)]
+        cells.setdefault(name, []).append(cell)
+    return [_result(cells[name]) for name in sorted(cells)]
 
 
 def _planned_files(folder: Path) -> Iterator[Path]:
     """Yield the files that plans ask for; raise a `UserError` for a missing file or plan."""
-    plans = sorted(folder.glob("[!.]*.json"))
-    for path in sorted(folder.glob("[!.]*.parquet")):
+    plans = sorted((folder / TRIALS).glob("[!.]*.json"))
+    for path in _FILES.paths(folder):
         plan = path.with_name(f"{path.name.rsplit('.', 2)[0]}.json")
         if plan not in plans:
             raise UserError(f"{path} must have its {plan.name}, as this version writes it")
     for plan in plans:
-        for some in _in_files(_subjects_in(plan)):
-            path = plan.with_name(_file_name(plan.stem, some))
+        for subjects in _in_files(_subjects_in(plan)):
+            path = plan.with_name(_file_name(plan.stem, subjects))
             if not path.is_file():
                 raise UserError(
                     f"{path} is missing: the same `mmc-gym adapt` makes it anew; to leave these "
                     f"trials out remove {plan.stem}.*"
                 )
             yield path
-
-
-def _differences(one: Any, other: Any, name: str = "") -> Iterator[str]:
-    """Yield each entry in which two settings differ, as text with both values."""
-    if isinstance(one, list) and any(isinstance(each, dict) for each in one):
-        one, other = dict(enumerate(one)), dict(enumerate(other))
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in dict.fromkeys([*one, *other]):
-            inner = f"{name}.{key}" if name not in ("", "parts") else str(key)
-            yield from _differences(one.get(key), other.get(key), inner)
-    elif one != other:
-        yield f"{name} {shown(one)} and {shown(other)}"

@@ -7,6 +7,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from mmc_gym._cells import parse_cell
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -20,7 +21,6 @@ from mmc_gym.benchmark.store import (
     read_episodes,
     read_manifest,
     read_paths,
-    read_table,
     require_all_cells,
     update_manifest,
     write_cell,
@@ -191,7 +191,7 @@ def test_any_flipped_bit_is_damage(store, kind):
     for number, place in enumerate(places):
         content[place // 8] ^= 1 << place % 8
         with pytest.raises(ValueError, match="not as it was written"):
-            read_table(bytes(content))
+            parse_cell(bytes(content))
         if number % 400 == 0:
             path.write_bytes(content)
             with pytest.raises(UserError, match=f"{path.name} is damaged"):
@@ -199,7 +199,7 @@ def test_any_flipped_bit_is_damage(store, kind):
             assert cell_facts(store, KEY, SETTINGS) is None
             assert kind == PATHS or not kept_cells(store)
         content[place // 8] ^= 1 << place % 8
-    read_table(bytes(content))
+    parse_cell(bytes(content))
 
 
 def test_files_of_other_writers_and_versions_are_not_parsed(store, monkeypatch):
