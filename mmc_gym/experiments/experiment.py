@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from itertools import cycle, pairwise
 from pathlib import Path
@@ -38,7 +38,7 @@ from pydantic.dataclasses import dataclass
 
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym._files import read_yaml, read_yaml_file
-from mmc_gym.envs.changes import Change, Family
+from mmc_gym.envs.changes import Change, Family, digits
 from mmc_gym.envs.names import TaskEntry, parse_change
 from mmc_gym.envs.perturbations import (
     Channel,
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Class = TypeVar("Class", bound=type)
+Part = TypeVar("Part", "Block", "Probe")
 
 _LABEL_ROOM = 90  # letters that fit above a timeline
 TRIALS_MOST = 100_000
@@ -152,6 +153,14 @@ def _check_aim(of: Block | Probe, target_jump: float = 0.0) -> None:
     require(fine, f"aim of {of.name!r}", of.aim, "0 with a clamp, jump or channel")
 
 
+def _scaled(changes: Sequence[Change], scale: Callable[[float], float]) -> tuple[Change, ...]:
+    """Return perturbations with other strengths, those that have one."""
+    return tuple(
+        change.with_strength(scale(change.number or 0.0)) if change.family.has_strength else change
+        for change in changes
+    )
+
+
 def _is_of_senses(change: Change) -> bool:
     return change.family in _OF_SENSES
 
@@ -223,12 +232,7 @@ class Block:
         """Return the perturbations in a trial of the block, counted from 0."""
         if not self.gradual:
             return self.perturbations
-        return tuple(
-            change.with_strength((change.number or 0.0) * (trial + 1) / self.trials)
-            if change.family.has_strength
-            else change
-            for change in self.perturbations
-        )
+        return _scaled(self.perturbations, lambda number: number * (trial + 1) / self.trials)
 
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
         """Return the probe of each trial, or None; their places are drawn."""
@@ -441,7 +445,7 @@ class Experiment:
 EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(
     files("mmc_gym.experiments").joinpath("experiments.yml").read_text(encoding="utf-8")
 )
-"""Experiments after classic ones, by name; `{}` stands for the strength."""
+"""Experiments after classic ones, by name, of strength 1; `strength` is that of the bare name."""
 
 
 def find_experiment(experiment: str | Path | Experiment) -> Experiment:
@@ -463,11 +467,29 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     match = re.fullmatch(r"([a-z-]+?)(?:-(-?\d+(?:\.\d+)?))?", text)
     if match is None or match[1] not in EXPERIMENTS:
         raise unknown("experiment", text, EXPERIMENTS, "one with a strength", "a file (mine.yml)")
-    entries = dict(EXPERIMENTS[match[1]])
+    family, entries = match[1], dict(EXPERIMENTS[match[1]])
     default = entries.pop("strength")
-    strength, opposite = (
-        np.format_float_positional(sign * float(match[2] or default), trim="-") for sign in (1, -1)
-    )
-    text = json.dumps(entries).replace('"-{}', f'"{opposite}').replace("--{}", f"-{opposite}")
-    filled_in = json.loads(text.replace("{}", strength))
-    return Experiment(name=f"{match[1]}-{strength}", family=match[1], **filled_in)
+    strength = float(match[2] or default)
+    entries["description"] = entries["description"].format(digits(strength))
+    try:
+        unit = Experiment(f"{family}-{digits(strength)}", family=family, **entries)
+        return _times(unit, strength)
+    except UserError as error:
+        raise UserError(f"experiment {text!r} is not possible: {error}") from error
+
+
+def _times(experiment: Experiment, factor: float) -> Experiment:
+    """Return an experiment with strengths, aims and jumps of targets times a factor."""
+
+    def scale(number: float) -> float:
+        return number * factor if number else 0.0  # never -0.0
+
+    def scaled(part: Part, **changed: Any) -> Part:
+        changes = _scaled(part.perturbations, scale)
+        return replace(part, perturbations=changes, aim=scale(part.aim), **changed)
+
+    def block_scaled(block: Block) -> Block:
+        probes = (scaled(probe, target_jump=scale(probe.target_jump)) for probe in block.probes)
+        return scaled(block, probes=tuple(probes))
+
+    return replace(experiment, blocks=tuple(map(block_scaled, experiment.blocks)))

@@ -54,6 +54,22 @@ def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     assert {block.name for block in experiment.blocks} <= shown
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("interference-0.1", ["rotation-0.1", "rotation--0.1", "rotation-0.1"]),
+        ("spontaneous-recovery--40", ["rotation--40", "rotation-40", "clamp-0"]),
+        ("cursor-jump-7", ["cursor-jump-7", "cursor-jump--7"]),
+    ],
+)
+def test_the_strength_in_a_name_is_that_of_its_perturbations(name, changes) -> None:
+    assert [change.name for change in find_experiment(name).changes] == changes
+    assert find_experiment("instructed-aim-25").blocks[1].aim == -25
+    for refused in ("cursor-jump-200", "instructed-aim-200"):
+        with pytest.raises(UserError, match=f"experiment '{refused}' is not possible: .*200"):
+            find_experiment(refused)
+
+
 def test_one_of_so_many_trials_is_a_probe_at_a_place_that_differs() -> None:
     block = Block("learning", 80, ("force-field-60",), probes=(Probe("catch", 8),))
     probes = [one for one in Experiment("mine", (block,)).schedule if one.probe]
