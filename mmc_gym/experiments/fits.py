@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -74,6 +74,21 @@ class Fit(NamedTuple):
     r_squared: float  #: share of the variance of y that the model explains
     bic: float  #: Bayesian information criterion; the least is best
     trials: int  #: that were known
+
+
+class Curve(NamedTuple):
+    """A curve of learning and what drove it, each (trials,), see `fit_curve`."""
+
+    y: Floats
+    perturbation: Floats
+    clamp: Floats
+    error: Floats | None = None
+    x: Floats | None = None
+
+    @property
+    def shown(self) -> Floats:
+        """The error that is seen without adaptation; 0 where nothing is seen."""
+        return np.nan_to_num(np.where(np.isnan(self.clamp), self.perturbation, self.clamp))
 
 
 def fit(
@@ -130,9 +145,9 @@ def fit(
             wrong = own["x"][own["x"].duplicated() | own["x"].isna()].tolist()
             where = ", ".join(f"{name} {label}" for name, label in labels.items()) or "the table"
             require(not wrong, x, wrong, f"a number that stands once in {where}; by= splits curves")
-        curve = {name: own[name].to_numpy() for name in columns}
-        fits = [_fit(one, **curve) for one in models]
-        doubts += [_doubt(fitted, **curve) for fitted in fits]
+        curve = _curve({name: own[name] for name in columns})
+        fits = [_fit(one, curve) for one in models]
+        doubts += [_doubt(fitted, curve) for fitted in fits]
         least = min((one.bic for one in fits if one.bic < math.inf), default=math.nan)
         for found in fits:
             facts = found._asdict() | found.parameters | {"best": found.bic == least}
@@ -172,18 +187,24 @@ def fit_curve(
     {'A': 0.98, 'B': 0.08}
     """
     require_choice("model", model, PARAMETERS)
-    given = {"y": y, "perturbation": perturbation, "clamp": clamp, "error": error, "x": x}
-    curve = {name: _numbers(name, one) for name, one in given.items() if one is not None}
-    shape = curve["y"].shape
-    require(len(shape) == 1 and shape != (0,), "y", shape, "a curve of shape (trials,)")
-    for name, numbers in curve.items():
-        is_alike = numbers.shape in ((), shape)
-        require(is_alike, name, numbers.shape, f"a number, or of shape {shape} as y")
-        curve[name] = np.broadcast_to(numbers, shape)
-    fitted = _fit(model, **curve)
-    if doubt := _doubt(fitted, **curve):
+    numbers = {"y": y, "perturbation": perturbation, "clamp": clamp, "error": error, "x": x}
+    curve = _curve({name: values for name, values in numbers.items() if values is not None})
+    fitted = _fit(model, curve)
+    if doubt := _doubt(fitted, curve):
         warnings.warn(doubt, stacklevel=2)
     return fitted
+
+
+def _curve(numbers: Mapping[str, Any]) -> Curve:
+    """Return the curve of numbers by name, all in the shape of y."""
+    arrays = {name: _numbers(name, values) for name, values in numbers.items()}
+    shape = arrays["y"].shape
+    require(len(shape) == 1 and shape != (0,), "y", shape, "a curve of shape (trials,)")
+    for name, array in arrays.items():
+        is_alike = array.shape in ((), shape)
+        require(is_alike, name, array.shape, f"a number, or of shape {shape} as y")
+    arrays = dict.fromkeys(("perturbation", "clamp"), np.array(math.nan)) | arrays
+    return Curve(**{name: np.broadcast_to(array, shape) for name, array in arrays.items()})
 
 
 def _numbers(name: str, values: Any) -> Floats:
@@ -193,42 +214,42 @@ def _numbers(name: str, values: Any) -> Floats:
         raise UserError(f"{name} must be numbers: {error}") from None
 
 
-def _doubt(fitted: Fit, y: Floats, **given: Floats) -> str:
+def _doubt(fitted: Fit, curve: Curve) -> str:
     """Return what sign or unit y seems to have, if not that of p; else an empty text."""
-    p, clamp = (given.get(name, np.full(y.shape, math.nan)) for name in ("perturbation", "clamp"))
-    sizes = np.nan_to_num(np.where(np.isnan(clamp), p, clamp))
-    if "state" not in fitted.model or math.isnan(fitted.r_squared) or not sizes.any():
+    if "state" not in fitted.model or math.isnan(fitted.r_squared) or not curve.shown.any():
         return ""
-    ratio = math.sqrt(np.nanmean(y**2) / np.mean(sizes**2))
-    for one, other, unit in (("radians", "degrees", 1), ("degrees", "radians", -1)):
-        if 0.2 < ratio / math.radians(1) ** unit < 1.25:
-            return f"y seems to be in {one} and the perturbation in {other}, by their sizes"
-    if fitted.r_squared < LEAST_EXPLAINED < _fit(fitted.model, -y, **given).r_squared:
+    ratio = math.sqrt(np.nanmean(curve.y**2) / np.mean(curve.shown**2))
+    for unit, other_unit, sign in (("radians", "degrees", 1), ("degrees", "radians", -1)):
+        if 0.2 < ratio / math.radians(1) ** sign < 1.25:
+            return f"y seems to be in {unit} and the perturbation in {other_unit}, by their sizes"
+    opposite = curve._replace(y=-curve.y)
+    if fitted.r_squared < LEAST_EXPLAINED < _fit(fitted.model, opposite).r_squared:
         return "y seems to have the other sign: what compensates the perturbation is positive"
     return ""
 
 
-def _fit(model: Model, y: Floats, **given: Floats) -> Fit:
-    """Fit a model to a curve without checks; all that is given has the shape of y."""
-    p, clamp = (given.get(name, np.full(y.shape, math.nan)) for name in ("perturbation", "clamp"))
+def _fit(model: Model, curve: Curve) -> Fit:
+    """Fit a model to a curve without checks."""
+    y, shown_errors = curve.y, curve.shown
     known = np.isfinite(y)
     if model in ("one-state", "two-state"):
-        e = np.nan_to_num(given["error"]) if "error" in given else clamp
-        found = fit_states(y[None], p, e, states=2 if model == "two-state" else 1)
-        logits = np.clip(logit(found), -_FARTHEST, _FARTHEST)
+        p, e = curve.perturbation, curve.clamp
+        if curve.error is not None:
+            e = np.nan_to_num(curve.error)
+        states = fit_states(y[None], p, e, states=2 if model == "two-state" else 1)
+        logits = np.clip(logit(states), -_FARTHEST, _FARTHEST)
         predicted = _simulate(logits, p, e)[0]
-        values = found[0]
+        values = states[0]
     elif model == "correction":
-        seen = np.nan_to_num(np.where(np.isnan(clamp), p, clamp))
-        scale = float((seen[known] ** 2).sum())
-        values = np.array([seen[known] @ y[known] / scale if scale else math.nan])
-        predicted = values * seen
+        scale = float((shown_errors[known] ** 2).sum())
+        values = np.array([shown_errors[known] @ y[known] / scale if scale else math.nan])
+        predicted = values * shown_errors
     elif model == "exponential":
         values = fit_exponential(y)[[0, 2, 1]]
         fall = np.exp(-values[2] * np.arange(len(y)))
         predicted = values[0] + (values[1] - values[0]) * fall
     elif model == "gaussian":
-        places = given.get("x", np.arange(len(y)))
+        places = np.arange(len(y)) if curve.x is None else curve.x
         values = fit_gaussian(y, places)
         offset, height, centre, width = values
         predicted = offset + height * _bell(places, centre, width)
@@ -259,7 +280,7 @@ def choose_states(
     flat = curves.reshape(-1, curves.shape[-1])
     kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
     p, e = (np.broadcast_to(one, flat.shape[1:]) for one in (perturbations, clamps))
-    fits = [_fit(kind, flat[0], perturbation=p, clamp=e) for kind in kinds]
+    fits = [_fit(kind, Curve(flat[0], p, e)) for kind in kinds]
     known = [one for one in fits if not math.isnan(one.bic)]
     best = min(known, key=lambda one: one.bic).model if known else "nothing"
     found = np.full((len(flat), 6), math.nan)

@@ -50,8 +50,7 @@ def movement_onset(paths: ArrayLike) -> NDArray[np.int64]:
 
     0 for a hand that never moves.
     """
-    steps = _steps(np.asarray(paths, dtype=np.float64))
-    return np.argmax(steps >= ONSET * steps.max(axis=-1, keepdims=True), axis=-1)
+    return _onset(_steps(np.asarray(paths, dtype=np.float64)))
 
 
 def describe_movements(
@@ -89,17 +88,14 @@ def describe_movements(
     steps, go = _steps(hand), np.asarray(go_steps)[..., None]
     steps = np.where(np.arange(steps.shape[-1]) >= go, steps, 0.0)
     peak, fastest = steps.max(axis=-1), np.argmax(steps, axis=-1)
-    moves, last = peak > 0, steps.shape[-1]
-    onset = np.argmax(steps >= ONSET * peak[..., None], axis=-1)
+    onset, last = _onset(steps), steps.shape[-1]
     slow = (steps < ONSET * peak[..., None]) & (np.arange(last) > fastest[..., None])
     end = np.where(slow.any(axis=-1), np.argmax(slow, axis=-1), last)
-    aimed = np.minimum(go + 1, last)[..., None]
-    aim = np.take_along_axis(target, aimed, axis=-2)[..., 0, :]
+    aim = _positions(target, np.minimum(go[..., 0] + 1, last))
     later = np.minimum(onset + round(early / control_step), last)
 
-    def direction(path: Floats, at: NDArray[np.int64]) -> Floats:
-        found = np.take_along_axis(path, at[..., None, None], axis=-2)[..., 0, :]
-        return _angle_between(aim - path[..., 0, :], found - path[..., 0, :])
+    def direction(path: Floats, step: NDArray[np.int64]) -> Floats:
+        return _angle_between(aim - path[..., 0, :], _positions(path, step) - path[..., 0, :])
 
     way = aim - hand[..., 0, :]
     left = _cross(way[..., None, :], hand - hand[..., :1, :])
@@ -116,12 +112,21 @@ def describe_movements(
         "peak_speed": peak / control_step,
         "largest_deviation": deviation,
     }
-    found = {name: np.where(moves, values, math.nan) for name, values in found.items()}
+    found = {name: np.where(peak > 0, values, math.nan) for name, values in found.items()}
     return {**found, "end_error": end_error, "success": end_error <= tolerance}
 
 
 def _steps(paths: Floats) -> Floats:
     return np.asarray(np.linalg.norm(np.diff(paths, axis=-2), axis=-1))
+
+
+def _onset(steps: Floats) -> NDArray[np.int64]:
+    return np.argmax(steps >= ONSET * steps.max(axis=-1, keepdims=True), axis=-1)
+
+
+def _positions(paths: Floats, steps: NDArray[np.int64]) -> Floats:
+    """Return where paths (..., time, 2) are at a step of each, (...)."""
+    return np.take_along_axis(paths, steps[..., None, None], axis=-2)[..., 0, :]
 
 
 def _angle_between(aim: Floats, hand: Floats) -> Floats:
@@ -138,8 +143,8 @@ def _early(paths: ArrayLike, targets: ArrayLike, after: int | None) -> tuple[Flo
     steps = _steps(hands)
     at = np.argmax(steps, axis=-1) + 1
     if after is not None:
-        at = np.minimum(movement_onset(hands) + after, hands.shape[-2] - 1)
-    hand = np.take_along_axis(hands, at[..., None, None], axis=-2)[..., 0, :] - hands[..., 0, :]
+        at = np.minimum(_onset(steps) + after, hands.shape[-2] - 1)
+    hand = _positions(hands, at) - hands[..., 0, :]
     moves = steps.max(axis=-1, keepdims=True) > 0
     return np.where(moves, hand, math.nan), np.asarray(targets) - hands[..., 0, :]
 
