@@ -96,6 +96,11 @@ class TrialsCell:
         """Start of the names of its files, AGENT--EXPERIMENT.DIGEST."""
         return _stem(self.agent.label, self.settings)
 
+    @property
+    def file_name(self) -> str:
+        """Name of its file."""
+        return _file_name(self.stem, self.subjects)
+
     @cached_property  # workers need not know what it is taken of
     def settings(self) -> dict[str, Any]:
         """All settings that the cell's result is known to depend on, as JSON types."""
@@ -397,21 +402,21 @@ def run_experiment(
         if _subjects_in(plan) < subjects:
             entries = {"subjects": subjects, "sha256": UNSEALED}
             write_atomically(plan, seal(json.dumps(entries).encode()))
-    cells = [replace(one, subjects=some) for one in whole for some in _in_files(subjects)]
-    paths = [folder and folder / _file_name(one.stem, one.subjects) for one in cells]
-    kept = [path and _FILES.find(path, cell.settings) for path, cell in zip(paths, cells)]
-    missing = [number for number, stored in enumerate(kept) if stored is None]
-    warn_of_unseen(cell.settings for cell, stored in zip(cells, kept) if stored)
+    cells = [replace(cell, subjects=part) for cell in whole for part in _in_files(subjects)]
+    stored = [folder and _FILES.find(folder / cell.file_name, cell.settings) for cell in cells]
+    missing = [number for number, content in enumerate(stored) if content is None]
+    warn_of_unseen(cell.settings for cell, content in zip(cells, stored) if content)
     on_progress(len(cells) - len(missing), len(cells))
 
     def keep_file(index: int, content: bytes) -> None:
-        kept[missing[index]] = parse_cell(content)
-        if path := paths[missing[index]]:
-            write_atomically(path, content)
-        on_progress(len(cells) - kept.count(None), len(cells))
+        number = missing[index]
+        stored[number] = parse_cell(content)
+        if folder:
+            write_atomically(folder / cells[number].file_name, content)
+        on_progress(len(cells) - stored.count(None), len(cells))
 
     run_grid(run_cell, [cells[number] for number in missing], jobs=jobs, on_result=keep_file)
-    return _result([cell for cell in kept if cell])
+    return _result([cell for cell in stored if cell])
 
 
 def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
