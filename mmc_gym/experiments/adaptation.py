@@ -119,20 +119,23 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
     - others: see `mmc_gym.experiments.learning`.
     """
     exposed, clamped = _of_exposures(of), np.flatnonzero(of.kinds == "clamp")
-    found: dict[str, Any] = {"deviation": of.deviation, **exposed}
+    measures: dict[str, Any] = {"deviation": of.deviation, **exposed}
     if exposed or len(clamped):
-        own = np.where(np.isin(of.kinds, ("transfer", "jump")), math.nan, of.adaptation)
-        states = choose_states(own, of.perturbations, of.clamps)
-        found |= zip(ONE_STATE + TWO_STATES, np.moveaxis(states, -1, 0), strict=True)
+        adaptation = np.where(np.isin(of.kinds, ("transfer", "jump")), math.nan, of.adaptation)
+        states = choose_states(adaptation, of.perturbations, of.clamps)
+        measures |= zip(ONE_STATE + TWO_STATES, np.moveaxis(states, -1, 0), strict=True)
     curves = tuple(range(of.errors.ndim - 1))
     is_shown = np.abs(of.errors[..., clamped]).max(axis=curves, initial=0) > 0.1
-    found["clamp_asymptote"] = _level(of, clamped[is_shown][-AT_END:])
+    measures["clamp_asymptote"] = _level(of, clamped[is_shown][-AT_END:])
     if of.corrections:
         responses, *jump = of.corrections
-        found["latency"] = np.apply_along_axis(correction_latency, -1, responses, *jump)
-        found["gain"] = correction_gain(responses, of.corrections.size)
+        measures["latency"] = np.apply_along_axis(correction_latency, -1, responses, *jump)
+        measures["gain"] = correction_gain(responses, of.corrections.size)
     shape = of.adaptation.shape[:-1]
-    return {one.name: np.broadcast_to(found.get(one.name, math.nan), shape) for one in QUANTITIES}
+    return {
+        quantity.name: np.broadcast_to(measures.get(quantity.name, math.nan), shape)
+        for quantity in QUANTITIES
+    }
 
 
 def _of_exposures(of: Learning) -> dict[str, Any]:
@@ -140,7 +143,7 @@ def _of_exposures(of: Learning) -> dict[str, Any]:
     if not exposures:
         return {}
     begin, end = exposures[0][[0, -1]]
-    rates = [_rate(of.adaptation[..., one], least) for one in exposures[:2]]
+    rates = [_rate(of.adaptation[..., exposure], least) for exposure in exposures[:2]]
     is_free = (of.perturbations == 0) & (of.kinds != "transfer")
     is_free &= of.blocks == of.blocks[end] + 1
     return {
@@ -205,11 +208,11 @@ def learning_of(of: Movements) -> Learning:
     are sorted by direction within their block, since each subject has another order.
     """
     schedule, angles = of.schedule, of.angles
-    blocks = np.array([one.block for one in schedule])
-    kinds = np.array([one.kind for one in schedule])
-    strengths = np.array([one.strength for one in schedule])
+    blocks = np.array([trial.block for trial in schedule])
+    kinds = np.array([trial.kind for trial in schedule])
+    strengths = np.array([trial.strength for trial in schedule])
     clamped, in_channel, hidden, in_field = (
-        np.array([has(one.condition.perturbations, kind) for one in schedule])
+        np.array([has(trial.condition.perturbations, kind) for trial in schedule])
         for kind in (ErrorClamp, Channel, NoFeedback, ForceField)
     )
     is_field = in_field.any()
@@ -217,31 +220,31 @@ def learning_of(of: Movements) -> Learning:
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     sign = np.sign(strengths[first].sum())
 
-    aims = np.radians(angles + np.array([one.aim for one in schedule]))
+    aims = np.radians(angles + np.array([trial.aim for trial in schedule]))
     towards = np.stack([np.cos(aims), np.sin(aims)], axis=-1)
     steps = round(BEFORE_FEEDBACK / of.control_step)
     measured = lateral_deviation if is_field else partial(initial_direction, steps=steps)
-    own, seen = (measured(one, of.hands[:, :, 0] + towards) for one in (of.hands, of.cursors))
-    before, free = np.arange(len(schedule)) < first.sum(), np.where(in_channel, math.nan, own)
+    hand, seen = (measured(paths, of.hands[:, :, 0] + towards) for paths in (of.hands, of.cursors))
+    before, free = np.arange(len(schedule)) < first.sum(), np.where(in_channel, math.nan, hand)
     baseline = _baseline(free, angles, before)
-    own, seen = own - baseline, seen - np.where(clamped, 0.0, baseline)
+    hand, seen = hand - baseline, seen - np.where(clamped, 0.0, baseline)
     perturbations = np.where(clamped | in_channel, 0.0, strengths) * sign
-    adaptation, errors, deviation = -own * sign, seen * sign, math.nan
+    adaptation, errors, deviation = -hand * sign, seen * sign, math.nan
     if is_field:
         perturbations /= np.abs(strengths).max()
         groups = blocks + len(schedule) * np.unique(kinds, return_inverse=True)[1]
-        own = _without_directions(own, angles, groups)
-        deviation = float(np.nanmean(own[:, first]) / perturbations[first].sum())
+        hand = _without_directions(hand, angles, groups)
+        deviation = float(np.nanmean(hand[:, first]) / perturbations[first].sum())
         is_known = abs(deviation) > LEAST and perturbations[first].sum() > 0.5
-        errors = own / (deviation if is_known else math.nan)
+        errors = hand / (deviation if is_known else math.nan)
         adaptation = perturbations - errors
     if in_channel.any():
         shares = np.broadcast_to(of.channel_shares if is_field else math.nan, angles.shape)
         shares = shares - _baseline(shares, angles, before)
-        parts = [one.condition.perturbations for one in schedule]
-        curls = [sum(c.number or 0.0 for c in some if has([c], Channel)) for some in parts]
+        parts = [trial.condition.perturbations for trial in schedule]
+        curls = [sum(c.number or 0.0 for c in changes if has([c], Channel)) for changes in parts]
         adaptation = np.where(in_channel, shares * (np.sign(curls) * sign), adaptation)
-    errors, perturbations = (np.where(errorless, 0.0, one) for one in (errors, perturbations))
+    errors, perturbations = (np.where(errorless, 0.0, values) for values in (errors, perturbations))
     order = np.tile(np.arange(len(schedule)), (len(angles), 1))
     for block in np.unique(blocks):
         probes = np.flatnonzero((blocks == block) & (kinds == "transfer"))
@@ -257,7 +260,7 @@ def learning_of(of: Movements) -> Learning:
         kinds=kinds,
         offsets=(ordered[0] - angles[0, first].sum() + 180) % 360 - 180,
         blocks=blocks,
-        rests=np.array([one.rest for one in schedule]),
+        rests=np.array([trial.rest for trial in schedule]),
         unit="fraction" if is_field else "°",
         deviation=abs(deviation),
         corrections=_corrections(of, kinds),
@@ -273,13 +276,13 @@ def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floa
 
 def _without_directions(values: Floats, angles: Floats, groups: NDArray[np.int64]) -> Floats:
     """Subtract how the mean at each target differs from the mean of its group of trials."""
-    found = values.copy()
+    centred = values.copy()
     for group in np.unique(groups):
         level = np.nanmean(values[:, groups == group])
         for angle in np.unique(angles[:, groups == group]):
             here = (angles == angle) & (groups == group)
-            found[here] -= np.nanmean(values[here]) - level
-    return found
+            centred[here] -= np.nanmean(values[here]) - level
+    return centred
 
 
 def _corrections(of: Movements, kinds: NDArray[np.str_]) -> Corrections | None:
@@ -291,15 +294,15 @@ def _corrections(of: Movements, kinds: NDArray[np.str_]) -> Corrections | None:
     if not len(jumps):
         return None
     goals = (of.targets - (of.cursors - of.hands))[:, jumps].astype(np.float64)
-    go_step = max(round(one.condition.go_cue / of.control_step) for one in of.schedule)
+    go_step = max(round(trial.condition.go_cue / of.control_step) for trial in of.schedule)
     moved = goals - goals[:, :, [go_step + 1]]
     sizes = np.linalg.norm(moved[:, :, -1], axis=-1)
     if not sizes.any():
         return None
     same = (of.angles[:, jumps, None] == of.angles[:, None]) & (kinds == "plain")
     plain = np.einsum("sjk,sktd->sjtd", same / same.sum(axis=-1, keepdims=True), of.hands)
-    one = tuple(np.argwhere(sizes > 0)[0])
-    step = np.argmax(np.linalg.norm(moved[one], axis=-1) > sizes[one] / 2)
+    first = tuple(np.argwhere(sizes > 0)[0])
+    step = np.argmax(np.linalg.norm(moved[first], axis=-1) > sizes[first] / 2)
     sizes[sizes == 0] = math.nan
     ways = moved[:, :, -1] / sizes[..., None]
     along = np.einsum("sjtd,sjd->sjt", of.hands[:, jumps] - plain, ways)

@@ -146,11 +146,11 @@ def _without_error(changes: Sequence[Change]) -> Literal["clamp", "channel", "hi
     return "channel" if has(changes, Channel) else "hidden" if has(changes, NoFeedback) else ""
 
 
-def _check_aim(of: Block | Probe, target_jump: float = 0.0) -> None:
+def _check_aim(part: Block | Probe, target_jump: float = 0.0) -> None:
     """Refuse an aim where it would move more than the place that is aimed at."""
-    bound = any(has(of.perturbations, kind) for kind in (ErrorClamp, CursorJump, Channel))
-    fine = not (of.aim and (bound or target_jump))
-    require(fine, f"aim of {of.name!r}", of.aim, "0 with a clamp, jump or channel")
+    bound = any(has(part.perturbations, kind) for kind in (ErrorClamp, CursorJump, Channel))
+    is_possible = not (part.aim and (bound or target_jump))
+    require(is_possible, f"aim of {part.name!r}", part.aim, "0 with a clamp, jump or channel")
 
 
 def _scaled(changes: Sequence[Change], scale: Callable[[float], float]) -> tuple[Change, ...]:
@@ -237,23 +237,23 @@ class Block:
     def probes_by_trial(self, seed: int) -> list[Probe | None]:
         """Return the probe of each trial, or None; their places are drawn."""
         random = np.random.default_rng(seed)
-        found: list[tuple[Probe, int] | None] = [None] * self.trials  # and its first place
+        placed: list[tuple[Probe, int] | None] = [None] * self.trials  # and its first place
 
         def put(probe: Probe, first: int, tried: set[int]) -> bool:
-            group = [one for one in range(first, first + probe.every) if one not in tried]
-            free = [one for one in group if found[one] is None]
-            for place in [random.choice(free)] if free else group:
-                tried.add(place)
-                other = found[place]
-                if other is None or put(*other, tried):  # else another moves on, within its group
-                    found[place] = probe, first
+            group = [trial for trial in range(first, first + probe.every) if trial not in tried]
+            free = [trial for trial in group if placed[trial] is None]
+            for trial in [random.choice(free)] if free else group:
+                tried.add(trial)
+                earlier = placed[trial]
+                if earlier is None or put(*earlier, tried):  # else it moves on, within its group
+                    placed[trial] = probe, first
                     return True
             return False
 
         for probe in self.probes:
             for first in range(0, self.trials - probe.every + 1, probe.every):
                 put(probe, first, set())
-        return [one and one[0] for one in found]
+        return [place and place[0] for place in placed]
 
 
 class Condition(NamedTuple):
@@ -309,21 +309,21 @@ class Experiment:
     def __post_init__(self) -> None:
         trials = sum(block.trials for block in self.blocks)
         require(trials <= TRIALS_MOST, "blocks", trials, f"of {TRIALS_MOST:,} trials at most")
-        strong = (one for one in self._learned() if one.number and not has([one], CursorJump))
-        units = dict.fromkeys(one.unit for one in strong)
+        changes = (change for change in self._learned() if not has([change], CursorJump))
+        units = dict.fromkeys(change.unit for change in changes if change.number)
         accepted = "of one kind, either force fields or turns of the cursor"
         require(len(units) <= 1, "perturbations", [*units], accepted)
 
     def _learned(self) -> list[Change]:
         """Return the perturbations of blocks and probes that are not of the senses."""
-        return [one for one in self.changes[len(self.noise) :] if not _is_of_senses(one)]
+        return [change for change in self.changes[len(self.noise) :] if not _is_of_senses(change)]
 
     @property
     def changes(self) -> list[Change]:
         """The perturbations of all trials, and then those of blocks and probes."""
         parts: list[Block | Probe] = [*self.blocks]
         parts += [probe for block in self.blocks for probe in block.probes]
-        return [*self.noise, *(one for part in parts for one in part.perturbations)]
+        return [*self.noise, *(change for part in parts for change in part.perturbations)]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -338,7 +338,7 @@ class Experiment:
     @functools.cached_property
     def directions(self) -> tuple[float, ...]:
         """All directions in which there are targets."""
-        pools = {(one.targets, one.aim) for one in self.schedule}
+        pools = {(trial.targets, trial.aim) for trial in self.schedule}
         return tuple(sorted({(turn + aim) % 360 for pool, aim in pools for turn in pool}))
 
     def scenario(self, condition: Condition = UNCHANGED, **arguments: Any) -> Scenario:
@@ -359,7 +359,7 @@ class Experiment:
             plain: Kind = _without_error(block.perturbations) or "plain"
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
                 changes = block.perturbations_in(trial) if probe is None else probe.perturbations
-                learned = [one for one in reversed(changes) if not _is_of_senses(one)]
+                learned = [change for change in reversed(changes) if not _is_of_senses(change)]
                 jump = probe.target_jump if probe else 0.0
                 planned.append(
                     PlannedTrial(
@@ -379,13 +379,13 @@ class Experiment:
 
     def targets_of(self, seed: int) -> NDArray[np.float64]:
         """Return the target's direction in each trial of the subject with this seed."""
-        random, left, found = np.random.default_rng(seed), dict[Any, list[float]](), []
-        for one in self.schedule:
-            key = one.block, one.targets
+        random, left, targets = np.random.default_rng(seed), dict[Any, list[float]](), []
+        for trial in self.schedule:
+            key = trial.block, trial.targets
             if not left.get(key):
-                left[key] = random.permutation(one.targets).tolist()
-            found.append(left[key].pop())
-        return np.array(found)
+                left[key] = random.permutation(trial.targets).tolist()
+            targets.append(left[key].pop())
+        return np.array(targets)
 
     def plot_timeline(self, axes: Axes) -> None:
         """Draw the strength of the perturbation over trials, with phases, probes and rests."""
@@ -414,7 +414,7 @@ class Experiment:
             place: Any = {"rotation": 30, "ha": "left"} if is_short else {"ha": "center"}
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text, **place)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
-        units = dict.fromkeys(one.unit for one in self._learned())
+        units = dict.fromkeys(change.unit for change in self._learned())
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
 

@@ -52,8 +52,8 @@ LEAST_EXPLAINED = 0.2  # of the variance of a curve, for it to have a rate
 # Where fits begin: rates per trial, and in degrees widths and centres; A and B of states.
 _RATES = np.geomspace(1e-3, 3.0, 60)
 _WIDTHS, _CENTRES = (
-    one.reshape(-1, 1)
-    for one in np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0, 45.0, 19))
+    grid.reshape(-1, 1)
+    for grid in np.meshgrid(np.geomspace(5.0, 180.0, 40), np.linspace(-45.0, 45.0, 19))
 )
 _STARTS = {
     1: (*product((0.5, 0.8, 0.95, 0.99, 0.999), (0.01, 0.03, 0.1, 0.3, 0.7)),),
@@ -123,38 +123,40 @@ def fit(
         UserError: if there is no such model, no such column of numbers, or a trial stands twice.
     """
     models = [model] if isinstance(model, str) else list(model)
-    for one in models:
-        require_choice("model", one, PARAMETERS)
+    for name in models:
+        require_choice("model", name, PARAMETERS)
     require(len(table) > 0, "rows of the table", 0, "at least one")
-    is_moved = any("state" in one or one == "correction" for one in models)
+    is_moved = any("state" in name or name == "correction" for name in models)
     states = {"perturbation": perturbation, "clamp": clamp, "error": error} if is_moved else {}
-    columns = {"y": y, "x": x, **{name: one for name, one in states.items() if one}}
+    columns = {"y": y, "x": x, **{name: column for name, column in states.items() if column}}
     names = [by] if isinstance(by, str) else [*(by or ())]
     for column in [*columns.values(), *names]:
         if column not in table:
             raise UserError(f"the table must have a column {shown(column)}, got {[*table.columns]}")
-    trials = pd.DataFrame({name: _numbers(one, table[one]) for name, one in columns.items()})
+    numbers = {name: _numbers(column, table[column]) for name, column in columns.items()}
+    trials = pd.DataFrame(numbers)
     if not names:
         trials = trials.groupby("x", as_index=False, dropna=False).mean()
     keys = [table[name].to_numpy() for name in names]
     rows, doubts = [], []
-    for group, own in trials.groupby(keys, sort=False, dropna=False) if keys else [((), trials)]:
+    groups = trials.groupby(keys, sort=False, dropna=False) if keys else [((), trials)]
+    for group, points in groups:
         labels = dict(zip(names, group, strict=True))
-        if any(one != "gaussian" for one in models):
-            own = own.sort_values("x")
-            wrong = own["x"][own["x"].duplicated() | own["x"].isna()].tolist()
+        if any(kind != "gaussian" for kind in models):
+            points = points.sort_values("x")
+            wrong = points["x"][points["x"].duplicated() | points["x"].isna()].tolist()
             where = ", ".join(f"{name} {label}" for name, label in labels.items()) or "the table"
             require(not wrong, x, wrong, f"a number that stands once in {where}; by= splits curves")
-        curve = _curve({name: own[name] for name in columns})
-        fits = [_fit(one, curve) for one in models]
+        curve = _curve({name: points[name] for name in columns})
+        fits = [_fit(kind, curve) for kind in models]
         doubts += [_doubt(fitted, curve) for fitted in fits]
-        least = min((one.bic for one in fits if one.bic < math.inf), default=math.nan)
-        for found in fits:
-            facts = found._asdict() | found.parameters | {"best": found.bic == least}
+        least = min((fitted.bic for fitted in fits if fitted.bic < math.inf), default=math.nan)
+        for fitted in fits:
+            facts = fitted._asdict() | fitted.parameters | {"best": fitted.bic == least}
             rows.append(labels | facts)
     for doubt in dict.fromkeys(filter(None, doubts)):
         warnings.warn(doubt, stacklevel=2)
-    parameters = dict.fromkeys(name for one in models for name in PARAMETERS[one])
+    parameters = dict.fromkeys(name for kind in models for name in PARAMETERS[kind])
     ends = ["mean_square", "r_squared", "bic", "trials", "best"]
     return pd.DataFrame(rows)[[*names, "model", *parameters, *ends]]
 
@@ -279,16 +281,16 @@ def choose_states(
     """
     flat = curves.reshape(-1, curves.shape[-1])
     kinds: tuple[Model, ...] = ("nothing", "correction", "one-state", "two-state")
-    p, e = (np.broadcast_to(one, flat.shape[1:]) for one in (perturbations, clamps))
+    p, e = (np.broadcast_to(values, flat.shape[1:]) for values in (perturbations, clamps))
     fits = [_fit(kind, Curve(flat[0], p, e)) for kind in kinds]
-    known = [one for one in fits if not math.isnan(one.bic)]
-    best = min(known, key=lambda one: one.bic).model if known else "nothing"
-    found = np.full((len(flat), 6), math.nan)
+    known = [fitted for fitted in fits if not math.isnan(fitted.bic)]
+    best = min(known, key=lambda fitted: fitted.bic).model if known else "nothing"
+    parameters = np.full((len(flat), 6), math.nan)
     if best == "one-state":
-        found[:, :2] = fit_states(flat, p, e, states=1)
+        parameters[:, :2] = fit_states(flat, p, e, states=1)
     elif best == "two-state":
-        found[:, 2:] = fit_states(flat, p, e, states=2)
-    return found.reshape(*curves.shape[:-1], 6)
+        parameters[:, 2:] = fit_states(flat, p, e, states=2)
+    return parameters.reshape(*curves.shape[:-1], 6)
 
 
 def fit_states(
@@ -302,18 +304,18 @@ def fit_states(
     """
     weights = np.isfinite(curves)
     is_fitted = (weights.sum(axis=1) >= 8) & (np.abs(np.where(weights, curves, 0)).max(axis=1) > 0)
-    found = np.full((len(curves), 2 * states), math.nan)
+    parameters = np.full((len(curves), 2 * states), math.nan)
     if is_fitted.any():
         known, weights = np.where(weights, curves, 0.0)[is_fitted], weights[is_fitted]
         grid = logit(np.array(_STARTS[states]))
         shapes = _simulate(grid, perturbations, clamps)
         costs = (shapes**2) @ weights.T - 2 * shapes @ known.T  # less what no start changes
         start = grid[costs.argmin(axis=0)]
-        found[is_fitted] = expit(_polish_all(start, known, weights, perturbations, clamps))
+        parameters[is_fitted] = expit(_polish_all(start, known, weights, perturbations, clamps))
     if states == 2:  # the fast one first
-        swapped = found[:, 0] > found[:, 1]
-        found[swapped] = found[swapped][:, [1, 0, 3, 2]]
-    return found
+        swapped = parameters[:, 0] > parameters[:, 1]
+        parameters[swapped] = parameters[swapped][:, [1, 0, 3, 2]]
+    return parameters
 
 
 def _simulate(at: Floats, perturbations: Floats, clamps: Floats) -> Floats:
@@ -336,10 +338,10 @@ def _polish_all(at: Floats, curves: Floats, weights: Floats, *schedule: Floats) 
     nudges = np.concatenate([np.zeros((1, count)), _NUDGE * np.eye(count)])
     open_ones = np.arange(len(at))
     for _ in range(60):
-        now, own, seen = at[open_ones], curves[open_ones], weights[open_ones]
+        now, y, seen = at[open_ones], curves[open_ones], weights[open_ones]
         values = _simulate((now[:, None] + nudges).reshape(-1, count), *schedule)
         values = values.reshape(len(now), count + 1, -1) * seen[:, None]
-        residuals = values[:, 0] - own
+        residuals = values[:, 0] - y
         slopes = (values[:, 1:] - values[:, :1]) / _NUDGE
         normal = np.einsum("kit,kjt->kij", slopes, slopes)
         diagonal = np.einsum("kii->ki", normal) * damping[open_ones, None] + 1e-9
@@ -347,7 +349,7 @@ def _polish_all(at: Floats, curves: Floats, weights: Floats, *schedule: Floats) 
         step = np.linalg.solve(normal + diagonal[..., None] * np.eye(count), downhill)[..., 0]
         new = np.clip(now - np.clip(step, -2, 2), -_FARTHEST, _FARTHEST)
         before = (residuals**2).sum(axis=1)
-        after = ((_simulate(new, *schedule) * seen - own) ** 2).sum(axis=1)
+        after = ((_simulate(new, *schedule) * seen - y) ** 2).sum(axis=1)
         is_better = after < before
         at[open_ones[is_better]] = new[is_better]
         damping[open_ones] *= np.where(is_better, 0.2, 5.0)
@@ -426,8 +428,8 @@ def generalization_width(adaptation: Floats, offsets: Floats) -> float:
         return math.nan
     best, height = _nearest_shape(_bell(offsets, _CENTRES, _WIDTHS), adaptation)
     start = height, *_CENTRES[best], *_WIDTHS[best]
-    found = _polish(lambda at: at[0] * _bell(offsets, at[1], at[2]) - adaptation, start)
-    return min(abs(float(found[2])), float(_WIDTHS.max()))
+    parameters = _polish(lambda at: at[0] * _bell(offsets, at[1], at[2]) - adaptation, start)
+    return min(abs(float(parameters[2])), float(_WIDTHS.max()))
 
 
 def _nearest_shape(shapes: Floats, values: Floats) -> tuple[int, float]:

@@ -84,7 +84,7 @@ def describe_movements(
         early: seconds.
         tolerance: segment lengths.
     """
-    hand, cursor, target = (np.asarray(one, np.float64) for one in (hands, cursors, targets))
+    hand, cursor, target = (np.asarray(paths, np.float64) for paths in (hands, cursors, targets))
     steps, go = _steps(hand), np.asarray(go_steps)[..., None]
     steps = np.where(np.arange(steps.shape[-1]) >= go, steps, 0.0)
     peak, fastest = steps.max(axis=-1), np.argmax(steps, axis=-1)
@@ -103,7 +103,7 @@ def describe_movements(
     with np.errstate(invalid="ignore", divide="ignore"):
         deviation = farthest[..., 0] / np.linalg.norm(way, axis=-1)
     end_error = np.linalg.norm(cursor[..., -1, :] - target[..., -1, :], axis=-1)
-    found = {
+    measures = {
         "hand_angle": direction(hand, fastest + 1),
         "early_hand_angle": direction(hand, later),
         "cursor_error": direction(cursor, fastest + 1),
@@ -112,8 +112,8 @@ def describe_movements(
         "peak_speed": peak / control_step,
         "largest_deviation": deviation,
     }
-    found = {name: np.where(peak > 0, values, math.nan) for name, values in found.items()}
-    return {**found, "end_error": end_error, "success": end_error <= tolerance}
+    measures = {name: np.where(peak > 0, values, math.nan) for name, values in measures.items()}
+    return {**measures, "end_error": end_error, "success": end_error <= tolerance}
 
 
 def _steps(paths: Floats) -> Floats:
@@ -149,8 +149,8 @@ def _early(paths: ArrayLike, targets: ArrayLike, after: int | None) -> tuple[Flo
     return np.where(moves, hand, math.nan), np.asarray(targets) - hands[..., 0, :]
 
 
-def _cross(one: Floats, other: Floats) -> Floats:
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+def _cross(first: Floats, second: Floats) -> Floats:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
 def correction_gain(response: ArrayLike, jump: float) -> Floats:

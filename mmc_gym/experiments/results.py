@@ -80,16 +80,18 @@ class ExperimentResult:
     @property
     def settings(self) -> dict[str, str]:
         """The settings of each agent's learning and noise, in words; empty if it has none."""
-        found = {}
-        for agent, own in self.trials.groupby("agent", sort=False):
-            each = {name: own[name].unique().tolist() for name in LEARNED if "spread" not in name}
+        settings = {}
+        names = [name for name in LEARNED if "spread" not in name]
+        for agent, rows in self.trials.groupby("agent", sort=False):
+            values_by_name = {name: rows[name].unique().tolist() for name in names}
             texts = [
                 f"{name} {_span(values)}"
-                for name, values in each.items()
+                for name, values in values_by_name.items()
                 if values[0] and (name in ("rate", "retention") or values[0] not in _OFF)
             ]
-            found[str(agent)] = ", ".join(texts + ["keeps all"] * bool(own["keeps_all"].iloc[0]))
-        return found
+            texts += ["keeps all"] * bool(rows["keeps_all"].iloc[0])
+            settings[str(agent)] = ", ".join(texts)
+        return settings
 
     def movements_of(self, agent: str) -> Movements:
         """Return the movements of an agent's subjects."""
@@ -118,10 +120,10 @@ class ExperimentResult:
 
         If NAME.trials.csv holds trials of another run, write NAME.2.trials.csv and so on instead.
         """
-        own = {*self.trials[_RUN].astype(str).itertuples(index=False, name=None)}
+        runs = {*self.trials[_RUN].astype(str).itertuples(index=False, name=None)}
         first = str(Path(out) / self.experiment.name)
         stems = chain([first], (f"{first}.{number}" for number in count(2)))
-        stem = next(one for one in stems if _runs_in(Path(f"{one}.trials.csv")) <= own)
+        stem = next(stem for stem in stems if _runs_in(Path(f"{stem}.trials.csv")) <= runs)
         written = []
         for kind, table in (("trials", self.trials), ("measures", self.measures)):
             text = table.to_csv(index=False, lineterminator="\n")
@@ -138,10 +140,10 @@ def _runs_in(path: Path) -> set[tuple[str, ...]]:
     if not path.exists():
         return set()
     try:
-        found = pd.read_csv(path, usecols=_RUN, dtype=str, keep_default_na=False)[_RUN]
+        runs = pd.read_csv(path, usecols=_RUN, dtype=str, keep_default_na=False)[_RUN]
     except ValueError:  # not a file of trials: equal to no run
         return {(str(path),)}
-    return {*found.itertuples(index=False, name=None)}
+    return {*runs.itertuples(index=False, name=None)}
 
 
 def _span(values: Sequence[str]) -> str:
@@ -149,8 +151,8 @@ def _span(values: Sequence[str]) -> str:
     first = sorted(values, key=lambda text: float(text.split(",")[0]))
     if len(first) == 1:
         return first[0]
-    ends = ((f"{float(one):.2g}" for one in text.split(",")) for text in (first[0], first[-1]))
-    return " to ".join(map(", ".join, ends))
+    ends = [[float(number) for number in text.split(",")] for text in (first[0], first[-1])]
+    return " to ".join(", ".join(f"{number:.2g}" for number in numbers) for numbers in ends)
 
 
 def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.DataFrame:
@@ -163,30 +165,34 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
     rows = []
     for agent in result.trials["agent"].unique():
         learning = learning_of(result.movements_of(agent))
-        found = measure_learning(_resampled(learning, resamples))
+        measures = measure_learning(_resampled(learning, resamples))
         tails = expanded_tails(len(learning.errors))
-        for one in QUANTITIES:
-            values, low, high = found[one.name], math.nan, math.nan
+        for quantity in QUANTITIES:
+            values, low, high = measures[quantity.name], math.nan, math.nan
             if not math.isnan(values[0]):
                 low, high = percentile_interval(values[1:], tails)
-            unit = learning.unit if one.unit == OF_ADAPTATION else one.unit
-            facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
+            unit = learning.unit if quantity.unit == OF_ADAPTATION else quantity.unit
+            facts = {"label": quantity.label, "unit": unit, "decimals": quantity.decimals}
             interval = {"estimate": float(values[0]), "low": low, "high": high}
             counts = {"count": len(learning.errors), "missing": 0, "source": ""}
-            rows.append({"agent": agent, "measure": one.name, **facts, **interval, **counts})
+            rows.append({"agent": agent, "measure": quantity.name, **facts, **interval, **counts})
     table = pd.DataFrame(rows)
-    has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
-    whole = with_people(table[has_values], result.experiment.family)
+    agents_with_value = table.groupby("measure")["estimate"].transform("count")
+    whole = with_people(table[agents_with_value > 0], result.experiment.family)
     return whole.assign(settings=whole["agent"].map(result.settings).fillna(""))
 
 
 def _resampled(of: Learning, resamples: int) -> Learning:
     """Replace subjects by the mean over them, then the mean of each resample: R + 1 rows."""
-    adaptation, errors = (resampled_means(one, resamples) for one in (of.adaptation, of.errors))
     jumps = of.corrections
     if jumps:
         jumps = jumps._replace(responses=resampled_means(jumps.responses, resamples))
-    return replace(of, adaptation=adaptation, errors=errors, corrections=jumps)
+    return replace(
+        of,
+        adaptation=resampled_means(of.adaptation, resamples),
+        errors=resampled_means(of.errors, resamples),
+        corrections=jumps,
+    )
 
 
 def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
@@ -197,10 +203,11 @@ def with_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
     """
     cited, rows = people(experiment), []
     for facts in table.drop_duplicates("measure").to_dict("records"):
-        if one := cited.get(facts["measure"]):
-            estimate = one.low if one.low == one.high else math.nan
-            own = {"agent": PEOPLE, "count": 0, "source": one.authors}
-            rows.append(facts | own | {"estimate": estimate, "low": one.low, "high": one.high})
+        if published := cited.get(facts["measure"]):
+            low, high = published.low, published.high
+            estimate = low if low == high else math.nan
+            row = {"agent": PEOPLE, "count": 0, "source": published.authors}
+            rows.append(facts | row | {"estimate": estimate, "low": low, "high": high})
     return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
 
 
@@ -217,10 +224,10 @@ def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
         return
     agents = list(table["agent"].unique())
     rows = []
-    for _, own in table.groupby("measure", sort=False):
-        found = {row["agent"]: row for row in own.to_dict("records")}
-        cells = tuple(_printed(found[one]) if one in found else NONE for one in agents)
-        label, unit = own[["label", "unit"]].iloc[0]
+    for _, of_measure in table.groupby("measure", sort=False):
+        cell_of = {row["agent"]: _printed(row) for row in of_measure.to_dict("records")}
+        cells = tuple(cell_of.get(agent, NONE) for agent in agents)
+        label, unit = of_measure[["label", "unit"]].iloc[0]
         rows.append(Row(label, cells, f"[{unit}]" if unit else ""))
     note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
     note += settings_note(dict(zip(table["agent"], table["settings"], strict=True)))
@@ -278,7 +285,7 @@ def learning_figure(
         result.experiment.plot_timeline(above)
         above.set_xlabel("")
         _draw_curves(below, result, resamples)
-        handles, labels = map(add, *(one.get_legend_handles_labels() for one in (below, above)))
+        handles, labels = map(add, *(axes.get_legend_handles_labels() for axes in (below, above)))
         figure.legend(
             handles, labels, loc="outside lower center", ncols=3, frameon=False, handlelength=3.5
         )
@@ -304,7 +311,7 @@ def _draw_curves(axes: Axes, result: ExperimentResult, resamples: int) -> None:
     full = np.where(learning.kinds == "plain", learning.perturbations, np.nan)
     trials, label = np.arange(len(full)), "full compensation"
     axes.step(trials, full, "0.6", where="mid", linewidth=0.8, label=label)
-    is_aimed = any(one.aim for one in result.experiment.schedule)
+    is_aimed = any(trial.aim for trial in result.experiment.schedule)
     angle = "hand angle less the aim [°]" if is_aimed else "hand angle [°]"
     label = angle if learning.unit == "°" else "adaptation [share of the deviation]"
     axes.set(xlabel="trial", ylabel=label)
@@ -318,9 +325,9 @@ def _draw_curve(axes: Axes, learning: Learning, look: Any, resamples: int) -> No
     for block in np.unique(learning.blocks):
         trials = np.flatnonzero(in_curve & (learning.blocks == block))
         cycles = np.array_split(trials, max(1, len(trials) // CYCLE))
-        of_subjects = [learning.adaptation[:, one].mean(axis=1) for one in cycles]
+        of_subjects = [learning.adaptation[:, cycle].mean(axis=1) for cycle in cycles]
         means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
-        places = [one.mean() for one in cycles]
+        places = [cycle.mean() for cycle in cycles]
         axes.plot(places, means[0], **look, linewidth=1.2)
         if len(means) > 1:  # a single subject has no band
             ends = np.quantile(means[1:], expanded_tails(len(learning.errors)), axis=0)
@@ -334,14 +341,15 @@ def _draw_curve(axes: Axes, learning: Learning, look: Any, resamples: int) -> No
 def draw_with_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:
     """Draw a measure of a `learning_table`: agents as points with intervals, people as a band."""
     agents = [agent for agent in table["agent"].unique() if agent != PEOPLE]
-    found = {row["agent"]: row for row in table[table["measure"] == measure].to_dict("records")}
-    row = found[PEOPLE]
+    rows = table[table["measure"] == measure].set_index("agent")
+    row: Any = rows.loc[PEOPLE]
     low, high = row["low"], row["high"]
+    intervals = rows[["estimate", "low", "high"]].reindex(agents)  # NaN without a row
     for place, agent in enumerate(agents):
-        one = found.get(agent, {"estimate": math.nan, "low": math.nan, "high": math.nan})
+        estimate, *ends = intervals.loc[agent]
         colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-        axes.plot(one["estimate"], -place, marker, color=colour, markersize=5)
-        axes.plot([one["low"], one["high"]], [-place, -place], color=colour)
+        axes.plot(estimate, -place, marker, color=colour, markersize=5)
+        axes.plot(ends, [-place, -place], color=colour)
     left, right = min(0.0, axes.get_xlim()[0]), 1.1 * np.nanmax([axes.get_xlim()[1], low, high])
     if low == high:
         axes.axvline(low, color="0.6", linewidth=4, zorder=0)

@@ -110,7 +110,7 @@ class TrialsCell:
             "source": self.agent.source_name,
             "fingerprint": self.agent.fingerprint,
             "experiment": self.experiment.settings,
-            "perturbations": {one.name: one for one in self.experiment.changes},
+            "perturbations": {change.name: change for change in self.experiment.changes},
             "subjects": list(self.subjects),
             **{name: getattr(self, name) for name in names},
         }
@@ -132,10 +132,10 @@ class TrialsCell:
     def player(self) -> Player:
         """Make the agent, and return it with its facts; raise an error if it cannot act."""
         has_parts, entry = False, self.agent.entry
-        made, agent = make_player(self.agent, self.experiment.scenario(**self.arguments))
-        with closing(made):
+        env, agent = make_player(self.agent, self.experiment.scenario(**self.arguments))
+        with closing(env):
             facts = ("control", "parameters", "success_distance")
-            control, arm, tolerance = (read_attribute(made, name) for name in facts)
+            control, arm, tolerance = (read_attribute(env, name) for name in facts)
             if entry is not None and isinstance(agent, BodyAgent):
                 has_parts = True
                 parts = replace(agent.parts, **self.parts, vigour=self.experiment.vigour)
@@ -202,8 +202,8 @@ class _Session:
         self.cell, self.schedule = cell, cell.experiment.schedule
         self.shape = len(cell.subjects), len(self.schedule)
         sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
-        self.seeds = [one.generate_state(self.shape[1] + 1).tolist() for one in sequences]
-        self.angles = [cell.experiment.targets_of(own[-1]).tolist() for own in self.seeds]
+        self.seeds = [sequence.generate_state(self.shape[1] + 1).tolist() for sequence in sequences]
+        self.angles = [cell.experiment.targets_of(seeds[-1]).tolist() for seeds in self.seeds]
         self.paths: dict[str, NDArray[np.float32]] = {}
         self.channel_shares = np.full(self.shape, np.nan)
         self.environment = lru_cache(maxsize=8)(partial(cell.environment, player))
@@ -212,7 +212,10 @@ class _Session:
         """Play (subject, trial) pairs of one condition at once; return the agent's last state."""
         env = self.environment(self.schedule[pairs[0][1]].condition, len(pairs))
         directions = self.cell.experiment.directions
-        turns = [(self.angles[of][at] + self.schedule[at].aim) % 360 for of, at in pairs]
+        turns = [
+            (self.angles[subject][trial] + self.schedule[trial].aim) % 360
+            for subject, trial in pairs
+        ]
         options = [{"trial": directions.index(turn)} for turn in turns]
         seeds = [self.seeds[subject][trial] for subject, trial in pairs]
         if state is None and isinstance(agent, Agent):
@@ -236,16 +239,16 @@ class _Session:
         """Play all trials of some subjects in order, with what the agent keeps between trials."""
         keep = getattr(agent, "between_trials", lambda state, rest: None)
         state, subjects = None, list(subjects)
-        for one in self.schedule:
-            if one.trial and not self.cell.keeps_all:
-                state = keep(state, one.rest)
-            state = self.play(agent, [(subject, one.trial) for subject in subjects], state)
+        for trial in self.schedule:
+            if trial.trial and not self.cell.keeps_all:
+                state = keep(state, trial.rest)
+            state = self.play(agent, [(subject, trial.trial) for subject in subjects], state)
 
     def play_by_condition(self, agent: Predictor) -> None:
         """Play the trials of each condition together, for an agent that keeps no state."""
         alike: dict[Condition, list[int]] = {}
-        for one in self.schedule:
-            alike.setdefault(one.condition, []).append(one.trial)
+        for trial in self.schedule:
+            alike.setdefault(trial.condition, []).append(trial.trial)
         for trials in alike.values():
             pairs = list(product(range(self.shape[0]), trials))
             for first in range(0, len(pairs), _TOGETHER):
@@ -257,17 +260,19 @@ class _Session:
         The columns that `describe_movements` adds are not among them.
         """
         table = pd.DataFrame(self.schedule)[["trial", "block", "phase", "strength", "probe", "aim"]]
-        conditions = [one.condition for one in self.schedule]
-        table["perturbation"] = ["+".join(c.name for c in one.perturbations) for one in conditions]
-        table["go_step"] = [round(one.go_cue / control_step) for one in conditions]
+        conditions = [trial.condition for trial in self.schedule]
+        table["perturbation"] = [
+            "+".join(c.name for c in condition.perturbations) for condition in conditions
+        ]
+        table["go_step"] = [round(condition.go_cue / control_step) for condition in conditions]
         subjects, trials = self.shape
         starts = self.paths["hands"][:, :, 0].reshape(-1, 2)
         learners = self.cell.learners if self.cell.parts else [None] * subjects
 
         def text(learner: Parts | None, name: str) -> str:  # several states after commas
-            return ", ".join(f"{one:g}" for one in np.atleast_1d(getattr(learner, name, ())))
+            return ", ".join(f"{number:g}" for number in np.atleast_1d(getattr(learner, name, ())))
 
-        own = {name: [text(one, name) for one in learners] for name in LEARNED}
+        learned = {name: [text(learner, name) for learner in learners] for name in LEARNED}
         rows = len(starts)
         return {
             "agent": [self.cell.agent.label] * rows,
@@ -277,9 +282,9 @@ class _Session:
             "start_x": starts[:, 0],
             "start_y": starts[:, 1],
             "channel_force": self.channel_shares.ravel(),
-            **{name: np.repeat(values, trials) for name, values in own.items()},
+            **{name: np.repeat(values, trials) for name, values in learned.items()},
             "keeps_all": [self.cell.keeps_all] * rows,
-            "noise": ["+".join(one.name for one in self.cell.experiment.noise)] * rows,
+            "noise": ["+".join(change.name for change in self.cell.experiment.noise)] * rows,
             "seed": [self.cell.seed] * rows,
             "version": [version("mmc-gym")] * rows,
             "run": [self.cell.stem.rsplit(".", 1)[-1]] * rows,
@@ -307,7 +312,7 @@ def _checked(cells: Iterable[TrialsCell]) -> Iterator[TrialsCell]:
     tried = set()
     for cell in cells:
         player, experiment = cell.player(), cell.experiment
-        phases = {one.condition: one.phase for one in experiment.schedule}
+        phases = {trial.condition: trial.phase for trial in experiment.schedule}
         for condition, phase in phases.items() if player.control not in tried else ():
             try:
                 experiment.scenario(condition, **cell.arguments).make(player.control).close()
@@ -370,20 +375,22 @@ def run_experiment(
     <rotation-30: ik-dls, 1 subjects each>
     """
     experiment = find_experiment(experiment)
-    given = require_arguments("env_kwargs", env_kwargs)
+    arguments = require_arguments("env_kwargs", env_kwargs)
     subjects, seed = require_whole("subjects", subjects), require_whole("seed", seed, least=0)
     for name in SET_BY_SCENARIOS:
-        if name in given:
+        if name in arguments:
             raise UserError(f"{name} must be left out of env_kwargs: the experiment sets it")
     of_models: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
-    found = resolve_all(agents, every_training=False, **of_models)
-    labels = [agent.label for agent in found]
+    resolved_agents = resolve_all(agents, every_training=False, **of_models)
+    labels = [agent.label for agent in resolved_agents]
     folder = None if out is None else check_folder(out, "out") / TRIALS
     shared = {"rate": rate, "retention": retention}
     of_each = require_arguments("learners", learners).items()
-    own = {label: require_arguments(f"learners of {label}", parts) for label, parts in of_each}
+    parts_by_agent = {
+        label: require_arguments(f"learners of {label}", parts) for label, parts in of_each
+    }
     keep = require_names("keep", keep, labels)
-    require_names("learners", own, labels)
+    require_names("learners", parts_by_agent, labels)
     whole = [
         TrialsCell(
             agent=agent,
@@ -391,14 +398,14 @@ def run_experiment(
             subjects=range(subjects),
             seed=seed,
             keeps_all=agent.label in keep,
-            parts=_checked_parts({**shared, **own.get(agent.label, {})}),
-            env_kwargs=given,
+            parts=_checked_parts({**shared, **parts_by_agent.get(agent.label, {})}),
+            env_kwargs=arguments,
         )
-        for agent in found
+        for agent in resolved_agents
     ]
     whole = list(_checked(whole))
-    for one in whole if folder else ():  # before play, so that a file lost later is noticed
-        plan = cast(Path, folder) / f"{one.stem}.json"
+    for cell in whole if folder else ():  # before play, so that a file lost later is noticed
+        plan = cast(Path, folder) / f"{cell.stem}.json"
         if _subjects_in(plan) < subjects:
             entries = {"subjects": subjects, "sha256": UNSEALED}
             write_atomically(plan, seal(json.dumps(entries).encode()))
@@ -419,12 +426,12 @@ def run_experiment(
     return _result([cell for cell in stored if cell])
 
 
-def _checked_parts(given: Mapping[str, Any]) -> dict[str, Any]:
+def _checked_parts(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return all of an agent's `LEARNED` settings; raise a `UserError` for a wrong one."""
-    require_names("learners", given, LEARNED)
-    several = {name: given[name] for name in LEARNED[:2]}  # per state
-    shares = {name: one if np.iterable(one) else (one,) for name, one in several.items()}
-    parts = Parts(**{**given, **shares})
+    require_names("learners", settings, LEARNED)
+    shares = {name: settings[name] for name in LEARNED[:2]}  # per state
+    of_states = {name: share if np.iterable(share) else (share,) for name, share in shares.items()}
+    parts = Parts(**{**settings, **of_states})
     return {name: getattr(parts, name) for name in LEARNED}
 
 
@@ -460,6 +467,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
         cell = _FILES.read(path)
         name, agent = cell.settings["experiment"]["name"], cell.table["agent"][0].as_py()
         stem, parts = _stem(agent, cell.settings), cell.settings["parts"]
+        # Parts are named as users know them: rate, not parts.rate.
         settings = {**cell.settings, "subjects": None, "parts": None, **parts}
         shared_settings = {key: settings[key] for key in ("experiment", "seed", "env_kwargs")}
         for scope, cell_settings in (((agent, name), settings), ((name,), shared_settings)):
