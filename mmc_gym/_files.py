@@ -49,8 +49,8 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 def require_path(name: str, value: Any) -> Path:
     """Return the path of a file or folder, which need not exist."""
-    fine = isinstance(value, str | Path) and "\0" not in str(value)
-    require(fine, name, value, "a path")
+    is_path = isinstance(value, str | Path) and "\0" not in str(value)
+    require(is_path, name, value, "a path")
     return Path(value)
 
 
@@ -119,8 +119,8 @@ def _count(node: yaml.Node, counted: dict[int, int]) -> int:
     if id(node) not in counted:
         parts = node.value if isinstance(node, yaml.CollectionNode) else []
         if isinstance(node, yaml.MappingNode):
-            parts = [one for pair in parts for one in pair]
-        counted[id(node)] = 1 + sum(_count(one, counted) for one in parts)
+            parts = [part for pair in parts for part in pair]
+        counted[id(node)] = 1 + sum(_count(part, counted) for part in parts)
     return counted[id(node)]
 
 

@@ -146,8 +146,8 @@ def check_workers(jobs: int | None, cluster: str | None) -> None:
         require_whole("jobs", jobs)
     if cluster is None:
         return
-    fine = isinstance(cluster, str) and re.fullmatch(r"ray|ray://.+:\d+", cluster) is not None
-    require(fine, "cluster", cluster, "'ray' or 'ray://HOST:PORT'")
+    is_known = isinstance(cluster, str) and re.fullmatch(r"ray|ray://.+:\d+", cluster) is not None
+    require(is_known, "cluster", cluster, "'ray' or 'ray://HOST:PORT'")
     if importlib.util.find_spec("ray") is None:
         raise missing(f"cluster {cluster!r}", "Ray", "cluster")
 

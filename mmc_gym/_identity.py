@@ -72,7 +72,7 @@ def identity(*things: Any) -> str:
     A text "module:name" is a thing of that module, which may be of a library.
     """
     digest, unseen, waiting = hashlib.sha256(), list[str](), set[str]()
-    named = {one.partition(":")[0] for one in things if isinstance(one, str) and ":" in one}
+    named = {thing.partition(":")[0] for thing in things if isinstance(thing, str) and ":" in thing}
     if named:
         look_here()
     for thing in things:
@@ -138,8 +138,8 @@ def _source(file: str, package: str, modified: int, size: int) -> tuple[str, fro
                 names |= {base, *(f"{base}.{alias.name}" for alias in node.names)}
             elif isinstance(node, ast.Call):
                 called = {getattr(node.func, "attr", getattr(node.func, "id", ""))} & _BY_VALUE
-                texts = {str(one.value) for one in node.args[:1] if isinstance(one, ast.Constant)}
-                names |= called and (texts or called)
+                arguments = [first for first in node.args[:1] if isinstance(first, ast.Constant)]
+                names |= called and ({str(argument.value) for argument in arguments} or called)
     return hashlib.sha256(content).hexdigest(), frozenset(names)
 
 

@@ -100,7 +100,9 @@ class BenchmarkCell:
             "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
-            "measures": {one.name: identity(one.facts, one.of) for one in self.measures},
+            "measures": {
+                measure.name: identity(measure.facts, measure.of) for measure in self.measures
+            },
             **({"control": self.control} if self.control else {}),
         }
 
@@ -119,11 +121,13 @@ def run_cell(cell: BenchmarkCell) -> Outcome:
         warnings.simplefilter("always", MismatchWarning)
         outcome = _outcome(cell)
     warned: dict[str, None] = {}
-    for one in caught:
-        if issubclass(one.category, MismatchWarning):
-            warned[str(one.message)] = None
+    for warning in caught:
+        if issubclass(warning.category, MismatchWarning):
+            warned[str(warning.message)] = None
         else:
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+            warnings.warn_explicit(
+                warning.message, warning.category, warning.filename, warning.lineno
+            )
     return outcome._replace(warned=tuple(warned))
 
 
@@ -139,7 +143,7 @@ def _outcome(cell: BenchmarkCell) -> Outcome:
         return Outcome(cell.not_played("failed", f"{type(error).__name__}: {error}"))
     files = {}
     if cell.keeps_paths:
-        failed = [number for number, one in enumerate(episodes) if not success(one)]
+        failed = [number for number, episode in enumerate(episodes) if not success(episode)]
         shown = sorted({*range(min(PATHS_KEPT, len(episodes))), *failed[:FAILURES_KEPT]})
         files[PATHS] = paths_file(cell.key, {number: episodes[number] for number in shown})
     facts = {
@@ -172,8 +176,8 @@ def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
                 "targets wait for the hand, and an ideal one has no arm to perturb"
             )
         anybody = RandomAgent(ReachInterface.of(env))  # for the starts and targets
-        with closing(cell.scenario.make_vec(len(seeds)) or env) as played:
-            episodes = run_episodes(anybody, played, seeds, options=instances)
+        with closing(cell.scenario.make_vec(len(seeds)) or env) as arms:
+            episodes = run_episodes(anybody, arms, seeds, options=instances)
         return minimum_jerk_episodes(episodes), ""
     asked = {} if cell.control is None else {"control": cell.control}
     env, player = make_player(cell.agent, cell.scenario.with_arguments(**asked))
@@ -229,37 +233,41 @@ def benchmark(
     Raises:
         UserError: also if the store was made with other settings.
     """
-    given = require_arguments("env_kwargs", env_kwargs)
-    asked = given.pop("control", None)
-    scenarios = find_scenarios(environments, given, interface)
-    found = resolve_all(agents, allow_pickle=allow_pickle, wrapper=wrapper, statistics=statistics)
+    arguments = require_arguments("env_kwargs", env_kwargs)
+    asked = arguments.pop("control", None)
+    scenarios = find_scenarios(environments, arguments, interface)
+    resolved_agents = resolve_all(
+        agents, allow_pickle=allow_pickle, wrapper=wrapper, statistics=statistics
+    )
     episodes, seed = len(episode_seeds(seed, episodes)), int(seed)
     check_workers(jobs, cluster)
-    settings = {name: _settings(one) for name, one in scenarios.items()}
+    settings = {name: _settings(scenario) for name, scenario in scenarios.items()}
     store = check_folder(out, "out")
-    begun = update_manifest(store, partial(_joined, store, settings, found, episodes, seed))
+    begun = update_manifest(
+        store, partial(_joined, store, settings, resolved_agents, episodes, seed)
+    )
     first: dict[str, int | None] = {}  # of each agent the first training keeps paths
-    for one in sorted(found, key=lambda one: one.training_seed or 0):
-        first.setdefault(one.label, one.training_seed)
+    for agent in sorted(resolved_agents, key=lambda agent: agent.training_seed or 0):
+        first.setdefault(agent.label, agent.training_seed)
     cells = [
         BenchmarkCell(
-            agent=one,
+            agent=agent,
             scenario=scenario,
             episodes=episodes,
             seed=seed,
             control=asked,
-            keeps_paths=one.training_seed == first[one.label],
+            keeps_paths=agent.training_seed == first[agent.label],
             measures=own_measures(),
         )
         for scenario in scenarios.values()
-        for one in found
-        if not (one.is_reference and scenario.family)  # no perturbation touches it
+        for agent in resolved_agents
+        if not (agent.is_reference and scenario.family)  # no perturbation touches it
     ]
     finished: dict[CellKey, NotPlayed | None] = {
-        one.key: None for one in cells if cell_facts(store, one.key, one.settings) is not None
+        cell.key: None for cell in cells if cell_facts(store, cell.key, cell.settings) is not None
     }
-    missing = [one for one in cells if one.key not in finished]
-    warn_of_unseen(one.settings for one in cells if one.key in finished)
+    missing = [cell for cell in cells if cell.key not in finished]
+    warn_of_unseen(cell.settings for cell in cells if cell.key in finished)
     reused = len(finished)
     on_progress(Progress(reused, len(cells)))
 
@@ -277,10 +285,10 @@ def benchmark(
 
     def updated(manifest: Manifest | None) -> Manifest:
         manifest = manifest or begun  # it may have been removed meanwhile
-        not_played = [one for one in manifest.not_played if one.key not in finished]
-        not_played += [one for one in finished.values() if one is not None]
+        not_played = [cell for cell in manifest.not_played if cell.key not in finished]
+        not_played += [reason for reason in finished.values() if reason is not None]
         known = {"not_played": not_played, "reused": reused}
-        return manifest.model_copy(update=known | _found(store))
+        return manifest.model_copy(update=known | _facts_of_cells(store))
 
     try:
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
@@ -292,7 +300,7 @@ def benchmark(
 def _joined(
     out: Path,
     scenarios: Mapping[str, dict[str, Any]],
-    found: Sequence[ResolvedAgent],
+    resolved_agents: Sequence[ResolvedAgent],
     episodes: int,
     seed: int,
     manifest: Manifest | None,
@@ -305,23 +313,22 @@ def _joined(
     for name, asked in scenarios.items():
         settings = environments.setdefault(name, asked)
         _require_same(out, f"environment {name}", settings, asked)
-    agents = {name: list(policies) for name, policies in manifest.agents.items()}
-    for one in found:
-        policies = agents.setdefault(one.label, [])
-        for kept in [each for each in policies if each.training_seed == one.training_seed]:
-            _require_same(out, f"agent {one.label}", kept.source, one.source_name)
-            policies.remove(kept)  # it may have been trained further
-        policies.append(
-            Policy(
-                training_seed=one.training_seed,
-                source=one.source_name,
-                name=one.name,
-                knowledge=one.knowledge,
-                training_steps=one.training_steps,
-            )
+    agents = {**manifest.agents}
+    for agent in resolved_agents:
+        policies = {policy.training_seed: policy for policy in agents.get(agent.label, [])}
+        former = policies.pop(agent.training_seed, None)  # it may have been trained further
+        if former is not None:
+            _require_same(out, f"agent {agent.label}", former.source, agent.source_name)
+        policies[agent.training_seed] = Policy(
+            training_seed=agent.training_seed,
+            source=agent.source_name,
+            name=agent.name,
+            knowledge=agent.knowledge,
+            training_steps=agent.training_steps,
         )
+        agents[agent.label] = [*policies.values()]
     # Measures that only earlier runs knew keep their columns, and so their facts.
-    measures = manifest.measures | {name: one.facts for name, one in MEASURES.items()}
+    measures = manifest.measures | {name: measure.facts for name, measure in MEASURES.items()}
     known = {"environments": environments, "agents": agents, "measures": measures}
     return manifest.model_copy(update=known)
 
@@ -331,23 +338,23 @@ def _settings(scenario: Playable) -> dict[str, Any]:
     with closing(scenario.make()) as env:
         world: Any = env.unwrapped
         tolerance = getattr(world, "success_distance", math.nan)
-        played = {
+        facts = {
             "control_step": getattr(world.parameters, "control_step", None),
             "segment_lengths": list(getattr(world.parameters, "segment_lengths", ())),
             "tolerance": None if math.isnan(tolerance) else tolerance,
         }
-    return {**scenario.settings, **played}
+    return {**scenario.settings, **facts}
 
 
-def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
-    if kept != asked:
+def _require_same(out: Path, name: str, stored: Any, asked: Any) -> None:
+    if stored != asked:
         raise UserError(
             f"out must be a store of the same settings, or a new folder: in {str(out)!r} {name} is "
-            f"{kept!r}, asked for is {asked!r}"
+            f"{stored!r}, asked for is {asked!r}"
         )
 
 
-def _found(out: Path) -> dict[str, Any]:
+def _facts_of_cells(out: Path) -> dict[str, Any]:
     """Return the fields of `Manifest` that follow from all cells of a store, of other runs, too."""
     versions, fingerprints, controls = defaultdict(set), defaultdict(set), defaultdict(set)
     cells = kept_cells(out)

@@ -85,8 +85,8 @@ def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
         "seed": np.array([episode.seed for episode in episodes], dtype=np.int64),
         **dict(zip(("start_x", "start_y", "start_z"), starts.T)),
         **dict(zip(("target_x", "target_y", "target_z"), targets.T)),
-        "duration": np.array([len(one.rewards) * one.control_step for one in episodes]),
-        **{name: np.array([one[name] for one in measured], np.float64) for name in MEASURES},
+        "duration": np.array([len(episode.rewards) * episode.control_step for episode in episodes]),
+        **{name: np.array([row[name] for row in measured], np.float64) for name in MEASURES},
     }
 
 
@@ -116,12 +116,12 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
     float32.  Under a visuomotor rotation also cursor_x, cursor_y; elsewhere the cursor is the hand
     and is not stored; `read_paths` fills it in.
     """
-    played = list(episodes.values())
-    hands = np.concatenate([episode.hands for episode in played])
-    targets = np.concatenate([episode.targets for episode in played])
-    postures = np.concatenate([episode.joint_angles for episode in played])
-    cursors = [episode.cursors for episode in played if episode.cursors is not None]
-    counts = [len(episode.hands) for episode in played]
+    movements = list(episodes.values())
+    hands = np.concatenate([episode.hands for episode in movements])
+    targets = np.concatenate([episode.targets for episode in movements])
+    postures = np.concatenate([episode.joint_angles for episode in movements])
+    cursors = [episode.cursors for episode in movements if episode.cursors is not None]
+    counts = [len(episode.hands) for episode in movements]
     numbers = {
         **{f"joint_angle_{joint}": angles for joint, angles in enumerate(postures.T, start=1)},
         **dict(zip(("hand_x", "hand_y", "hand_z"), hands.T)),
@@ -300,7 +300,7 @@ class Manifest(_Frozen):
 
     def control(self, agent: str) -> str:
         """Return an agent's control modes, separated by commas; empty for the ideal hand."""
-        modes = (self.controls.get(one.source) for one in self.agents.get(agent, ()))
+        modes = (self.controls.get(policy.source) for policy in self.agents.get(agent, ()))
         return ", ".join(dict.fromkeys(filter(None, modes)))
 
 
