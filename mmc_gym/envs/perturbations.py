@@ -558,6 +558,24 @@ def repeated_observations(arms: Arms, probability: Floats, steps: Any = 1) -> No
     _happen(arms, "observation_repeated", probability, steps)
 
 
+GROUPS = {
+    "cursor": "rotation gain mirror clamp cursor-jump cursor-shift base-shift base-turn",
+    "geometry": "longer shorter obstacles",
+    "loads and forces": "hand-mass segment-mass force-field gravity channel",
+    "locks": "locked locks",
+    "motors": "motor-gain motor-offset dead-zone backlash action-noise action-noise-size "
+    "action-delay dropped-actions held-actions repeated-actions stuck-motor torque-limit "
+    "servo-gain",
+    "senses": "joint-noise joint-noise-speed vision-noise vision-noise-distance observation-noise "
+    "delay vision-delay no-feedback endpoint-feedback sensor-offset sensor-drift stuck-sensor "
+    "encoder dropped-numbers held-numbers repeated-observations",
+}
+"""The names of the families of this package, by the place where they act."""
+_UNORDERED = dict(FAMILIES)
+FAMILIES.clear()
+FAMILIES.update({name: _UNORDERED[name] for names in GROUPS.values() for name in names.split()})
+
+
 def _factors(arms: Arms, factor: Floats, of: Any) -> Floats:
     """Return a factor for each joint or segment, (n, N): 1 but for those of the number `of`."""
     return np.where(arms.which(of), factor[:, None], 1.0)

@@ -295,7 +295,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._motors = Motors(1, joints, delays["action_delay"], touched, holds)
         self._senses: Senses | None = None
         if setup.are_senses_disturbed:
-            self._senses = Senses(1, joints, size, delays, touched, setup.control_step)
+            self._senses = Senses(
+                1, joints, setup.layout.limits, delays, touched, setup.control_step
+            )
         self._observation: Any = None  # without its context, if senses are disturbed
 
     def _with_context(self, observation: Any, info: Info) -> Any:

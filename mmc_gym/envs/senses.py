@@ -50,15 +50,16 @@ class Senses:
         self,
         count: int,
         joints: int,
-        size: int,
+        limits: NDArray[np.float32],
         delays: Mapping[str, int],
         touched: frozenset[str],
         control_step: float,
     ) -> None:
         """Prepare for n arms of N joints, given the names of the columns that are touched.
 
-        `size` is that of an observation, and `delays` are the longest, control steps.
+        `limits` are those of an observation, and `delays` the longest, control steps.
         """
+        self._limits, size = limits, len(limits)
         self.change_state = bool(touched & (FELT | SIGHT))  #: whether `sense` changes anything
         self._touched, self._step = touched, control_step
         self._sights = Late(np.zeros((count, 2, 2)), delays["vision_delay"])  # hands and targets
@@ -145,6 +146,7 @@ class Senses:
             std = arms.observation_noise[indices][:, None]
             normal = noise.normal("observation_noise", steps, indices)
             observation = (observation + std * normal).astype(np.float32)
+            observation = observation.clip(-self._limits, self._limits)
         if self._spells:
             starts = steps == 0
             self._before[indices[starts]] = observation[starts]

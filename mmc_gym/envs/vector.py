@@ -142,7 +142,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._motors = Motors(num_envs, joints, delays["action_delay"], touched, holds)
         self._senses: Senses | None = None
         if setup.are_senses_disturbed:
-            self._senses = Senses(num_envs, joints, size, delays, touched, setup.control_step)
+            self._senses = Senses(
+                num_envs, joints, setup.layout.limits, delays, touched, setup.control_step
+            )
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba

@@ -1,6 +1,7 @@
 """Facts about motors and senses that fail, and about perturbations that end or have a number."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ import pytest
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.envs.names import as_change, as_plain, parse_change
-from mmc_gym.envs.perturbations import FAMILIES, dropped_actions, held_numbers
+from mmc_gym.envs.perturbations import FAMILIES, GROUPS, dropped_actions, held_numbers
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
+from mmc_gym.envs.scenarios import parse_scenario
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "tasks.md"
 
 ACTIONS = np.random.default_rng(4).uniform(-1, 1, (40, 3)).astype(np.float32)
 WHAT_MOTORS_DO = {
@@ -261,3 +265,21 @@ def test_every_family_has_a_description_and_a_source_of_its_unit():
         assert family.apply.__doc__, name
         assert not family.has_strength or "{}" in family.description, name
         assert family.unit or not family.has_strength, name
+
+
+def test_the_page_lists_every_family_in_its_group():
+    rows = PAGE.read_text(encoding="utf-8").splitlines()
+    for group, names in GROUPS.items():
+        assert f"| {group} | {' '.join(f'`{name}`' for name in names.split())} |" in rows
+    assert [*FAMILIES] == " ".join(GROUPS.values()).split()
+
+
+@pytest.mark.parametrize("level", ["easy", "medium", "hard"])
+def test_challenges_are_played_by_name(level):
+    scenario = parse_scenario(f"pursuit+realworld-{level}")
+    assert scenario.name == f"pursuit+realworld-{level}"
+    env = scenario.make()
+    observation, _ = env.reset(seed=0)
+    for action in ACTIONS:
+        assert env.observation_space.contains(observation)
+        observation, *_ = env.step(action)

@@ -166,7 +166,7 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, dist
     randoms = [np.random.default_rng(seed) for seed in range(count)]
     noise.draw(indices, 0 * indices, randoms)
     senses = Senses(
-        count, 3, setup.layout.size, setup.limits.delays, setup.touched, setup.control_step
+        count, 3, setup.layout.limits, setup.limits.delays, setup.touched, setup.control_step
     )
     seen, _ = senses.sense(indices, 0 * indices, true, arms, noise, hands)
     of_joints, of_sight = math.hypot(0.01, 0.02 * speed), math.hypot(0.01, 0.05 * distance)
