@@ -248,12 +248,12 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
     return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
 
 
-def some(values: NDArray[Any]) -> bool:
+def any_true(values: NDArray[Any]) -> bool:
     """Return whether any value is not 0; for small arrays three times as fast as `any`."""
     return bool(np.count_nonzero(values))
 
 
-def every(values: NDArray[Any]) -> bool:
+def all_true(values: NDArray[Any]) -> bool:
     """Return whether no value is 0; for small arrays twice as fast as `all`."""
     return bool(np.count_nonzero(values) == values.size)
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import FeedbackAgent, every, some, where
+from mmc_gym.agents.base import FeedbackAgent, all_true, any_true, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
@@ -136,7 +136,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
         """Let movements begin with what was learned in those before."""
         between = state.looks == BETWEEN
-        if some(between):
+        if any_true(between):
             state = where(between, self.start(seen)._replace(memory=state.memory), state)
         begins, given = state.looks == 0, state.evidence.given.lengths
         places = as_points(seen.hand), as_points(seen.target)
@@ -155,14 +155,14 @@ class BodyAgent(FeedbackAgent[BodyState]):
         the last control step is compared with the body as it was known then.
         """
         is_first, looks = state.looks == 0, state.looks + 1
-        if some(is_first):
+        if any_true(is_first):
             first = state._replace(looks=looks, senses=state.senses.look(seen))
-            state = first if every(is_first) else self._compare_step(state, seen, looks)
+            state = first if all_true(is_first) else self._compare_step(state, seen, looks)
             state = where(is_first, first, state)
         else:
             state = self._compare_step(state, seen, looks)
         is_hidden, after = state.senses.is_hidden, self._identify_body(state)
-        return where(is_hidden, state, after) if some(is_hidden) else after
+        return where(is_hidden, state, after) if any_true(is_hidden) else after
 
     def _compare_step(self, state: BodyState, seen: Seen, looks: Floats) -> BodyState:
         """Compare the last control step with its command.
@@ -186,7 +186,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             counts = step.is_clear & ~locks.is_locked.any(axis=-1)
             lengths = self._body(state, state.evidence.best).lengths
             contacts = contacts.locate(step, lengths, counts)
-            if some(contacts.is_new):
+            if any_true(contacts.is_new):
                 is_new = contacts.is_new[:, None]
                 strength = np.where(is_new, STRONGEST, drive.acceleration)
                 drive = drive._replace(acceleration=strength)
@@ -208,7 +208,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         # Within a movement, agents that learn follow no change: they act on what they believe.
         follows, mirrors = self.parts.follows_changes and not self.learns, not self.learns
         posture = state.senses.posture
-        blur = (posture.doubt * self._levers).sum(axis=-1) if some(posture.noise) else 0.0
+        blur = (posture.doubt * self._levers).sum(axis=-1) if any_true(posture.noise) else 0.0
         evidence = state.evidence.add(joint_angles, hands, follows, mirrors, blur)
         return state._replace(evidence=evidence)
 
@@ -216,7 +216,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Return angles and speeds of the joints now; late or noisy angles are corrected."""
         angles, speeds = state.senses.posture.joint_angles, seen.joint_speeds
         delay, interface = state.senses.delay, self.interface
-        if not some(delay.late):
+        if not any_true(delay.late):
             return angles, speeds
         if not self.has_own_act:
             return delay.run_forward(interface, angles), speeds
@@ -225,7 +225,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _forecast(self, state: BodyState, now: Floats) -> ReachProblem:
         """Return where the joints are now, and where the hand should be when a command acts."""
         delay, locks = state.senses.delay, state.locks
-        held = locks.is_locked if some(locks.is_locked) else None
+        held = locks.is_locked if any_true(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
         ahead = delay.late + delay.lag + LAG
@@ -241,7 +241,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         is_new = begins | state.locks.has_changed.any(axis=-1)
         goal = self.imagination.follow(state.route.goal, problem)
         route = state.route.advance(self.interface, problem.joint_angles)._replace(goal=goal)
-        if some(is_new):
+        if any_true(is_new):
             route = route._replace(goal=goal.copy())
             route.goal[is_new] = self.imagination.improve(goal[is_new], problem.of(is_new))
             route = self.road_map.plan(route, state.contacts, problem, is_new)
@@ -250,7 +250,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         aim = np.where(is_new, problem.aim, route.aim)
         goal_turn = np.zeros_like(goal)
         is_moving = state.senses.target.is_moving | state.evidence.change.is_on
-        if some(is_moving):
+        if any_true(is_moving):
             follows = is_moving & ~is_new & (route.ahead == 0)
             turn = self.interface.turn(state.route.goal, route.goal)
             goal_turn = np.where(follows[:, None], turn, goal_turn)
@@ -294,7 +294,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.parts.vigour < 1:
             return self._human_turn(turn, state, problem, left)
         located = state.contacts.located[:, None]
-        if some(located):  # arms that know obstacles keep to the planned route
+        if any_true(located):  # arms that know obstacles keep to the planned route
             now = problem.joint_angles
             straight = drive.straight(route.begin, now, route.next, self.interface)
             turn = np.where(located > 0, straight, turn)

@@ -52,7 +52,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import every, some, where
+from mmc_gym.agents.base import all_true, any_true, where
 from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, unit_vectors
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
@@ -111,7 +111,7 @@ class Body(NamedTuple):
 
 
 def _mirrored(points: Points, chosen: Bools) -> Points:
-    return np.where(chosen, points.conj(), points) if some(chosen) else points
+    return np.where(chosen, points.conj(), points) if any_true(chosen) else points
 
 
 class Change(NamedTuple):
@@ -150,7 +150,7 @@ class Change(NamedTuple):
         """
         zero = np.zeros(len(hand))
         looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
-        if every(is_given):
+        if all_true(is_given):
             return Change(looks, zero, zero, zero > 0)
         error = squared(hand - evidence.best.seen(z[:, :-2]))
         mean = self.error + SURPRISE_RATE * (error - self.error)
@@ -222,7 +222,7 @@ class BodyEvidence(NamedTuple):
         w = np.concatenate([hand[:, None], z.conj()], axis=1)
         keep: Any = 1 - FORGET
         rate = np.maximum(OFFSET_RATE, 1 / age)
-        if some(changes):
+        if any_true(changes):
             keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
             rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
         sums = keep * self.sums + w[:, :, None] * z[:, None, :]
@@ -252,13 +252,13 @@ class BodyEvidence(NamedTuple):
         return self.best._replace(turn=turn, shift=shift)
 
     def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
-        if every(is_given):
+        if all_true(is_given):
             return self.given
         is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
-        if not some(is_due | is_given):
+        if not any_true(is_due | is_given):
             return self.body
         body = where(is_given, self.given, self.body)
-        if some(is_due):
+        if any_true(is_due):
             may_be = mirrors & ((age < FREQUENT) | (age % 16 == 0) | self.change.is_on)
             may_be |= self.body.is_mirrored
             best = most_likely(sums[is_due], may_be[is_due], self.given.lengths[0])
@@ -391,7 +391,7 @@ class Locks(NamedTuple):
         least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
         least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
         may_lock = np.abs(commanded) > least
-        if not some(self.is_locked | may_lock):  # as mostly; then `may_lock` is False for all
+        if not any_true(self.is_locked | may_lock):  # as mostly; then `may_lock` is False for all
             place = np.where(moves, seen, self.place)
             return self._replace(place=place, commanded=commanded, has_changed=may_lock)
 

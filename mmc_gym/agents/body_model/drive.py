@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmc_gym.agents.base import some
+from mmc_gym.agents.base import any_true
 from mmc_gym.agents.body_model.forward_model import Bools, bounded, hand, turn_share
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.agents.planners import AVERAGE_SPEED, BASE_DURATION
@@ -71,7 +71,7 @@ class Drive(NamedTuple):
         lacks = bounded(gain * (self.lead - posture.turn), limit) - speeds
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
         saturates &= step.is_clear[:, None]
-        if not some(saturates) and not some(recovers):
+        if not any_true(saturates) and not any_true(recovers):
             return self
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
@@ -141,7 +141,7 @@ class Drive(NamedTuple):
         full = 0.97 * interface.speed_limit * interface.control_step
         lead = turn / turn_share(interface)
         lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL_LEAD, lead)
-        if some(noise):
+        if any_true(noise):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
             lead = np.where(noise > 0, left + trust * (lead - left), lead)

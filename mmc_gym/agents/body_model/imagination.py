@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import every, some
+from mmc_gym.agents.base import all_true, any_true
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Points,
@@ -78,18 +78,18 @@ def settle_network(network: MMCNetwork, problem: ReachProblem, iterations: int) 
     joint_angles, aim, lengths, held = problem
     if held is not None:
         is_held = np.asarray(held.any(axis=-1))
-        if not every(is_held):  # each arm moves as it does alone
+        if not all_true(is_held):  # each arm moves as it does alone
             free = settle_network(network, problem.of(~is_held)._replace(held=None), iterations)
             angles = np.empty_like(joint_angles)
             angles[~is_held] = free
-            if some(is_held):
+            if any_true(is_held):
                 angles[is_held] = settle_network(network, problem.of(is_held), iterations)
             return angles
     iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
     # In single precision some processors round an arm's sums otherwise in another batch.
     start = network.state_from_segments(as_vectors(lengths * unit_vectors(joint_angles)))
     clamps = network.inverse(as_vectors(aim))
-    if held is None and every(lengths == network.segment_lengths):
+    if held is None and all_true(lengths == network.segment_lengths):
         settled = network.run(start, clamps, iterations)
     else:
         body = Embodiment(lengths, locked=held, joint_angles=joint_angles)
@@ -128,7 +128,7 @@ class Imagination:
         within = self.interface.within_limits(postures)
         is_beyond = np.abs(wrap_angle(postures - within)) > LIMIT_SLACK
         again = np.asarray(is_beyond.any(axis=-1))
-        if some(again):
+        if any_true(again):
             held = is_beyond if problem.held is None else problem.held | is_beyond
             stopped = problem._replace(joint_angles=within, held=held).of(again)
             within = within.copy()
@@ -140,7 +140,7 @@ class Imagination:
         if problem.held is not None:
             goal = np.where(problem.held, problem.joint_angles, goal)
         misses = np.abs(hand(goal, problem.lengths) - problem.aim) > ON_TARGET
-        if some(misses):
+        if any_true(misses):
             moved = problem._replace(joint_angles=goal).of(misses)
             goal = goal.copy()
             goal[misses] = self.settle(moved, FOLLOW)
@@ -191,7 +191,7 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     distance, reach = np.abs(aim), lengths.sum(axis=-1)
     inner = np.maximum(2 * lengths.max(axis=-1) - reach, 0.0)
     allowed = np.minimum(np.maximum(distance, inner + REACH_MARGIN), reach - REACH_MARGIN)
-    if every(allowed == distance):
+    if all_true(allowed == distance):
         return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)
     return np.where(allowed == distance, aim, direction * allowed)

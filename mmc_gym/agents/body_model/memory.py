@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import some, where
+from mmc_gym.agents.base import any_true, where
 from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
@@ -106,7 +106,7 @@ class Memory(NamedTuple):
         self, begins: Bools, seen: Points, target: Points, joint_angles: Floats, given: Floats
     ) -> Memory:
         """Return the memory where movements begin (`begins`, (n,)) with the hand `seen` there."""
-        if not some(begins):
+        if not any_true(begins):
             return self
         directions = self.states.shape[2]
         place = np.rint(np.angle(target - seen) / (2 * np.pi) * directions)
@@ -114,7 +114,7 @@ class Memory(NamedTuple):
         felt = hand(joint_angles, given + new.belief[:, :-2])
         shift, zero = seen - new.turn * felt, np.zeros_like(felt)
         new = new._replace(shift=shift, begin=felt, place=felt, intended=zero, drift=zero)
-        if some(self.noise):
+        if any_true(self.noise):
             draw = self.draw + np.array([0, 1])
             angle = self.noise[:, 0] * _normal(draw, np.zeros(len(draw)), 1)[:, 0]
             new = new._replace(draw=draw, plan=np.exp(1j * angle))
@@ -122,11 +122,11 @@ class Memory(NamedTuple):
 
     def aimed(self, aim: Points) -> Points:
         """Return where a movement is planned to end, for an aim."""
-        return self.begin + (aim - self.begin) * self.plan if some(self.noise) else aim
+        return self.begin + (aim - self.begin) * self.plan if any_true(self.noise) else aim
 
     def disturbed(self, action: NDArray[np.float32], looks: Floats) -> NDArray[np.float32]:
         """Return a command with its noise, in the control step of so many looks, (n,)."""
-        if not some(self.noise[:, 1]):
+        if not any_true(self.noise[:, 1]):
             return action
         noisy = action * (1 + self.noise[:, 1:] * _normal(self.draw, looks, action.shape[-1]))
         return np.clip(noisy, -1, 1).astype(np.float32)

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import some, where
+from mmc_gym.agents.base import any_true, where
 from mmc_gym.agents.body_model.forward_model import Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
 from mmc_gym.agents.body_model.senses import LastStep
@@ -95,8 +95,8 @@ class Contacts(NamedTuple):
         lack = np.abs(step.commanded - turn).max(axis=-1)
         lacks = (lack > LACKED_TURN) & counts
         is_still = (lack > LACKED_AT_REST) & (np.abs(turn).max(axis=-1) < HELD_TURN) & counts
-        if not some(lacks | is_still):
-            return self._released() if some(self.wanted) or some(self.is_new) else self
+        if not any_true(lacks | is_still):
+            return self._released() if any_true(self.wanted) or any_true(self.is_new) else self
         units = unit_vectors(step.after.joint_angles)
         wanted = _across(units, lengths, step.commanded)
         actual = _across(units, lengths, turn)
@@ -105,7 +105,7 @@ class Contacts(NamedTuple):
         after = where(lacks | is_still, after, self._released())
         is_new, point = after._point_of_contact(wanted)
         after = after._replace(is_new=is_new)
-        if not some(is_new):
+        if not any_true(is_new):
             return after
         arms, (segment, place) = np.arange(len(units)), np.divmod(point, len(POINTS))
         segments = lengths * units
@@ -194,7 +194,7 @@ class Route(NamedTuple):
 
     def advance(self, interface: ReachInterface, joint_angles: Floats) -> Route:
         """Return the route, with the next leg for arms whose posture ends one."""
-        if not some(self.ahead):
+        if not any_true(self.ahead):
             return self
         end = self.next
         left = np.abs(interface.turn(joint_angles, end)).max(axis=-1)

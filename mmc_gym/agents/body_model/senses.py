@@ -42,7 +42,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmc_gym.agents.base import every, some, where
+from mmc_gym.agents.base import all_true, any_true, where
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Points,
@@ -116,7 +116,7 @@ class Senses(NamedTuple):
     def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
         """Return which hands are hidden: these repeat their last sight, though the joints turn."""
         is_hidden = np.abs(hand - self.hand) < SAME_PLACE
-        if some(is_hidden):
+        if any_true(is_hidden):
             turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
             noise = posture.deviation[:, 0]
             is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
@@ -135,7 +135,7 @@ class Senses(NamedTuple):
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        if not every(posture.age > EARLY) or not delay.is_known:
+        if not all_true(posture.age > EARLY) or not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
             delay = delay.estimate(self.posture, posture, moved, is_sharp)
@@ -210,7 +210,7 @@ class PostureTrack(NamedTuple):
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
         median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
         is_noisy = (median > 0.0) | (self.noise > 0.0)
-        if not some(is_noisy):
+        if not any_true(is_noisy):
             return self.accept(joint_angles, speeds)
         median = np.minimum(np.maximum(median, 0.0), LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
@@ -227,7 +227,7 @@ class PostureTrack(NamedTuple):
         doubt = doubt + np.maximum(bias * bias - BIASED * noise, 0.0)
         gain = doubt / (doubt + noise)
         turn, doubt, age = turn + gain * innovation, (1 - gain) * doubt, self.age + 1
-        if not every(is_noisy):
+        if not all_true(is_noisy):
             turn = np.where(is_noisy, turn, wrap_angle(joint_angles - self.joint_angles))
         after = self.joint_angles + turn
         return PostureTrack(after, turn, joint_angles, speeds, noise, doubt, bias, age)
@@ -241,7 +241,7 @@ class PostureTrack(NamedTuple):
     @property
     def likely(self) -> Floats:
         """Joint angles as seen, where they are clear; else filtered."""
-        if not some(self.noise):
+        if not any_true(self.noise):
             return self.seen
         return np.where(self.deviation < CLEAR, self.seen, self.joint_angles)
 
@@ -294,7 +294,7 @@ class TargetTrack(NamedTuple):
         stays = np.abs(target[:, None] - self.history).max(axis=-1) < SAME
         stays &= self.velocity == 0
         same = self._replace(age=age, seen=seen, has_jumped=np.zeros(len(target), bool))
-        if every(stays):
+        if all_true(stays):
             return same
         expected = self.place + self.velocity + self.curve
         error, stray = target - expected, target - self.mean
@@ -331,10 +331,10 @@ class TargetTrack(NamedTuple):
             has_jumped=jumps,
             is_moving=(moving < 0.5 * resting) & (age > SETTLED),
         )
-        if some(jumps):
+        if any_true(jumps):
             fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
             after = where(jumps, fresh, after)
-        return where(stays, same, after) if some(stays) else after
+        return where(stays, same, after) if any_true(stays) else after
 
     def _jumps(self, error: Points, stray: Points) -> Bools:
         """Return which targets jump, from their errors to the moving and the resting prediction."""
@@ -356,7 +356,7 @@ class TargetTrack(NamedTuple):
 
     def predict(self, steps: Floats) -> Points:
         """Return where the target will be some control steps (n,) after the observation."""
-        if not some(self.is_moving):
+        if not any_true(self.is_moving):
             return self.mean
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
         return np.where(self.is_moving, ahead, self.mean)
@@ -382,9 +382,9 @@ class Delay(NamedTuple):
     @property
     def may_lag(self) -> bool:
         """Whether any hand is seen later than its joints are felt, or not seen to move yet."""
-        if not every(self.is_seen):
+        if not all_true(self.is_seen):
             return True
-        return some(self.late_sight) and some(self.late_sight > self.late)
+        return any_true(self.late_sight) and any_true(self.late_sight > self.late)
 
     @property
     def lag(self) -> Floats:
@@ -394,7 +394,7 @@ class Delay(NamedTuple):
     @property
     def is_known(self) -> bool:
         """Whether all arms have been felt and seen to move."""
-        return every(self.is_felt & self.is_seen)
+        return all_true(self.is_felt & self.is_seen)
 
     def estimate(
         self, before: PostureTrack, posture: PostureTrack, moved: Floats, is_sharp: Bools
@@ -424,7 +424,7 @@ class Delay(NamedTuple):
         """Return the estimate after commands were sent."""
         commands = np.concatenate([self.commands[:, 1:], command[:, None]], axis=1)
         due = self.due
-        if not every(due):
+        if not all_true(due):
             turn = commanded_turn(interface, posture.joint_angles, command)
             felt_from = CLEARLY * _onset(posture) * interface.control_step
             due = np.where(due > 0, due, np.abs(turn).max(axis=-1) > felt_from)
@@ -432,7 +432,7 @@ class Delay(NamedTuple):
 
     def commands_seen(self) -> Floats:
         """Return the commands that led to the last observation."""
-        if not some(self.late):
+        if not any_true(self.late):
             return self.commands[:, -1]
         steps = self.late.astype(np.intp)
         return self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
