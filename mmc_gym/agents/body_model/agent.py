@@ -113,8 +113,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if state is None or not self.learns:
             return None
         evidence = state.evidence
-        kept = state.memory.keep(evidence.body, evidence.given.lengths, self.parts, rest)
-        return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=kept)
+        learned = state.memory.keep(evidence.body, evidence.given_body.lengths, self.parts, rest)
+        return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=learned)
 
     @override
     def respond(self, state: BodyState, seen: Seen) -> tuple[NDArray[np.float32], BodyState]:
@@ -138,15 +138,15 @@ class BodyAgent(FeedbackAgent[BodyState]):
         between = state.looks == BETWEEN
         if any_true(between):
             state = where(between, self.start(seen)._replace(memory=state.memory), state)
-        begins, given = state.looks == 0, state.evidence.given.lengths
+        begins, given_lengths = state.looks == 0, state.evidence.given_body.lengths
         places = as_points(seen.hand), as_points(seen.target)
-        memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given)
+        memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given_lengths)
         return state._replace(memory=memory)
 
     def _body(self, state: BodyState, best: Body) -> Body:
         """Return the body to act on, from the best hypothesis."""
-        given = state.evidence.given.lengths
-        return state.memory.body(best, given, self.parts) if self.learns else best
+        given_lengths = state.evidence.given_body.lengths
+        return state.memory.body(best, given_lengths, self.parts) if self.learns else best
 
     def _observe(self, state: BodyState, seen: Seen) -> BodyState:
         """Update what is seen and identified; `start` has entered the first posture and target.

@@ -110,8 +110,8 @@ class Body(NamedTuple):
         return (_mirrored(seen, self.is_mirrored) - self.shift) / self.turn
 
 
-def _mirrored(points: Points, chosen: Bools) -> Points:
-    return np.where(chosen, points.conj(), points) if any_true(chosen) else points
+def _mirrored(points: Points, is_mirrored: Bools) -> Points:
+    return np.where(is_mirrored, points.conj(), points) if any_true(is_mirrored) else points
 
 
 class Change(NamedTuple):
@@ -122,14 +122,14 @@ class Change(NamedTuple):
     error_of_trend: Floats  # mean square error of the trend, (n,)
     is_on: Bools  # whether the body is taken to change, (n,)
 
-    def body(self, best: Body, given: Body, steps: Floats | float) -> Body:
+    def body(self, best: Body, given_body: Body, steps: Floats | float) -> Body:
         """Return the best hypothesis, extrapolated to `steps` control steps after the last look.
 
         Multiplied by factors m (each a turn and a gain) it explains the last hands; log m lies on
         a line in time.  Near the centre of the turn m is not known, and the rest becomes a shift.
         """
         units, error = self.looks[..., :-2], self.looks[..., -2]
-        hands = error + (given.lengths[:, None] * units).sum(axis=-1)
+        hands = error + (given_body.lengths[:, None] * units).sum(axis=-1)
         seen = _mirrored(hands, best.is_mirrored[:, None]) - best.shift[:, None]
         felt = best.turn[:, None] * (best.lengths[:, None] * units).sum(axis=-1)
         factors = (seen * felt.conj() + NEAR) / (np.abs(felt) ** 2 + NEAR)
@@ -157,24 +157,26 @@ class Change(NamedTuple):
         mean[is_given | (evidence.age == 0)] = 0.0
         usual = evidence.scatter + (EXACT + 3 * blur)
         fails = (mean > 3 * usual) | (3 * squared(evidence.offset) > usual) | self.is_on
-        errs = np.flatnonzero(fails & ~is_given)
-        if not len(errs):
+        failing = np.flatnonzero(fails & ~is_given)
+        if not len(failing):
             return Change(looks, mean, mean, zero > 0)
         error_of_trend, is_on = mean.copy(), zero > 0
-        was, best, given = (_of(one, errs) for one in (self, evidence.best, evidence.given))
-        error = squared(hand[errs] - was.body(best, given, 1.0).seen(z[errs, :-2]))
-        error = was.error_of_trend + SURPRISE_RATE * (error - was.error_of_trend)
-        limit = np.where(was.is_on, ENDS_AT, BEGINS_AT)
-        error_of_trend[errs] = error
-        is_on[errs] = error + EXACT < limit * (mean[errs] + EXACT)
+        states = self, evidence.best, evidence.given_body
+        before, best, given_body = (_of(state, failing) for state in states)
+        trend = before.body(best, given_body, 1.0)
+        error = squared(hand[failing] - trend.seen(z[failing, :-2]))
+        error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
+        limit = np.where(before.is_on, ENDS_AT, BEGINS_AT)
+        error_of_trend[failing] = error
+        is_on[failing] = error + EXACT < limit * (mean[failing] + EXACT)
         return Change(looks, mean, error_of_trend, is_on)
 
 
-def _of(state: Any, chosen: NDArray[np.intp]) -> Any:
-    """Return a state of the chosen arms alone."""
+def _of(state: Any, arms: NDArray[np.intp]) -> Any:
+    """Return a state of these arms alone."""
     if isinstance(state, tuple):
-        return type(state)(*(_of(field, chosen) for field in state))
-    return state[chosen]
+        return type(state)(*(_of(field, arms) for field in state))
+    return state[arms]
 
 
 class BodyEvidence(NamedTuple):
@@ -187,7 +189,7 @@ class BodyEvidence(NamedTuple):
 
     age: Floats  # number of observations, (n,)
     sums: Points  # Σ w zᵀ, (n, N + 3, N + 2)
-    given: Body  # the body as given
+    given_body: Body  # the body as given
     body: Body  # the best hypothesis
     offset: Points  # mean error of the best hypothesis, (n,)
     scatter: Floats  # mean square of the errors about their mean, (n,)
@@ -199,9 +201,9 @@ class BodyEvidence(NamedTuple):
         """Return the evidence before any observation, for the given lengths."""
         zero, origin, joints = np.zeros(arms), np.zeros(arms, complex), len(lengths)
         looks, sums = (np.zeros((arms, rows, joints + 2), complex) for rows in (5, joints + 3))
-        given = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
+        given_body = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
         change = Change(looks, zero, zero, zero > 0)
-        return cls(zero, sums, given, given, origin, zero, best=given, change=change)
+        return cls(zero, sums, given_body, given_body, origin, zero, best=given_body, change=change)
 
     def add(
         self,
@@ -217,7 +219,7 @@ class BodyEvidence(NamedTuple):
         `blur`: mean square error of the hand that is due to errors of the posture.
         """
         units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
-        error = hand - (self.given.lengths * units).sum(axis=-1)
+        error = hand - (self.given_body.lengths * units).sum(axis=-1)
         z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
         w = np.concatenate([hand[:, None], z.conj()], axis=1)
         keep: Any = 1 - FORGET
@@ -231,47 +233,48 @@ class BodyEvidence(NamedTuple):
         if follows:
             change = change.observe(self, z, hand, is_given, blur)
         body = self._identify(sums, mirrors, is_given, age)
-        if body is not self.given:
+        if body is not self.given_body:
             error = hand - body.seen(units)
         offset = self.offset + rate * (error - self.offset)
         scatter = self.scatter + rate * (squared(error - offset) - self.scatter)
         square = squared(offset)
         part = offset * square / (square + scatter + EXACT)
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
-        return BodyEvidence(age, sums, self.given, body, offset, scatter, best, change)
+        return BodyEvidence(age, sums, self.given_body, body, offset, scatter, best, change)
 
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""
-        changes = np.flatnonzero(self.change.is_on)
-        if not len(changes):
+        changing = np.flatnonzero(self.change.is_on)
+        if not len(changing):
             return self.best
-        change, best, given = (_of(one, changes) for one in (self.change, self.best, self.given))
+        states = self.change, self.best, self.given_body
+        change, best, given_body = (_of(state, changing) for state in states)
         turn, shift = self.best.turn.copy(), self.best.shift.copy()
-        after = change.body(best, given, steps[changes])
-        turn[changes], shift[changes] = after.turn, after.shift
+        after = change.body(best, given_body, steps[changing])
+        turn[changing], shift[changing] = after.turn, after.shift
         return self.best._replace(turn=turn, shift=shift)
 
     def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
         if all_true(is_given):
-            return self.given
+            return self.given_body
         is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
         if not any_true(is_due | is_given):
             return self.body
-        body = where(is_given, self.given, self.body)
+        body = where(is_given, self.given_body, self.body)
         if any_true(is_due):
             may_be = mirrors & ((age < FREQUENT) | (age % 16 == 0) | self.change.is_on)
             may_be |= self.body.is_mirrored
-            best = most_likely(sums[is_due], may_be[is_due], self.given.lengths[0])
-            for field, found in zip(body, best, strict=True):
-                field[is_due] = found
+            best = most_likely(sums[is_due], may_be[is_due], self.given_body.lengths[0])
+            for field, best_field in zip(body, best, strict=True):
+                field[is_due] = best_field
         return body
 
 
 def _is_given(sums: Points) -> Bools:
     """Return whether the body is as given: no gain in fit could outweigh one more parameter."""
     count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
-    given: Bools = count * np.log1p(square / EXACT) < _penalty(sums)
-    return given
+    is_given: Bools = count * np.log1p(square / EXACT) < _penalty(sums)
+    return is_given
 
 
 def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
@@ -280,22 +283,23 @@ def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
     return product
 
 
-def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDArray[Any]]:
+def hypotheses(g: Floats, h: Points, given_lengths: Floats) -> tuple[Floats, Points, NDArray[Any]]:
     """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses from G (…, N, N), h (…, N)."""
-    segments = len(given)
-    as_given: Floats = np.broadcast_to(given, h.shape)
+    segments = len(given_lengths)
+    as_given: Floats = np.broadcast_to(given_lengths, h.shape)
     unturned: Points = np.ones(h.shape[:-1], complex)
-    turn = np.exp(1j * np.angle((h * given).sum(axis=-1)))
-    change = (h.real - (g * given).sum(axis=-1)) / (np.diagonal(g, axis1=-2, axis2=-1) + RIDGE)
+    turn = np.exp(1j * np.angle((h * given_lengths).sum(axis=-1)))
+    diagonal = np.diagonal(g, axis1=-2, axis2=-1) + RIDGE
+    change = (h.real - (g * given_lengths).sum(axis=-1)) / diagonal
     inverse = np.linalg.inv(g + RIDGE * np.eye(segments))
     double = (h * _product(inverse, h)).sum(axis=-1)
     half_turn: Points = np.exp(0.5j * np.angle(double))
     # Of two opposite turns, the one that leaves lengths positive.
-    is_opposite = ((half_turn.conj()[..., None] * h).real * given).sum(axis=-1) < 0
+    is_opposite = ((half_turn.conj()[..., None] * h).real * given_lengths).sum(axis=-1) < 0
     both_turn = half_turn * np.where(is_opposite, -1, 1)
     all_lengths = (
-        _product(inverse, (one.conj()[..., None] * h).real + RIDGE * given)
-        for one in (unturned, both_turn)
+        _product(inverse, (phase.conj()[..., None] * h).real + RIDGE * given_lengths)
+        for phase in (unturned, both_turn)
     )
     one_length = (as_given + change * j for j in np.eye(segments))
     lengths = np.stack([as_given, as_given, *one_length, *all_lengths])
@@ -303,26 +307,27 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> tuple[Floats, Points, NDA
     return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
 
 
-def most_likely(sums: Points, mirrors: Bools, given: Floats) -> Body:
+def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats) -> Body:
     """Return the best hypothesis for each arm; mirrored only where `mirrors`, and no other fits."""
-    to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
-    to_hand[-2, :-2] = given
+    to_hand = np.eye(len(given_lengths) + 2)  # x = e + ℓᵀu
+    to_hand[-2, :-2] = given_lengths
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
-    least, error, body = _fit(sums, given)
+    least, error, body = _fit(sums, given_lengths)
     unclear = np.flatnonzero(mirrors & (error > CLEAR_ERROR))
     if len(unclear):
         sums = sums[unclear]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[unclear].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
         least = least[unclear] - MIRROR_PARAMETERS * _penalty(sums)
-        other, _, found = _fit(sums, given)
-        is_better = other < least
-        for field, new in zip(body, found._replace(is_mirrored=is_better), strict=True):
-            field[unclear[is_better]] = new[is_better]
+        mirrored_least, _, mirrored_body = _fit(sums, given_lengths)
+        is_better = mirrored_least < least
+        mirrored_body = mirrored_body._replace(is_mirrored=is_better)
+        for field, mirrored_field in zip(body, mirrored_body, strict=True):
+            field[unclear[is_better]] = mirrored_field[is_better]
     return body
 
 
-def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
+def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Floats, Body]:
     """Return the least criterion for each arm, and the mean square error and body behind it.
 
     Rows and columns of `sums` are for u_1 … u_N, x and 1; symbols are those of the module.
@@ -333,7 +338,7 @@ def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
     # Axes: hypotheses; without and with a shift; arms; segments.
     moments, is_shifted = np.stack([sums, about_means]), np.arange(2)[:, None]
     g, h, s = moments[..., :-2, :-2].real, moments[..., :-2, -2], moments[..., -2, -2].real
-    lengths, turn, parameters = hypotheses(g, h, given)
+    lengths, turn, parameters = hypotheses(g, h, given_lengths)
     shift = sums[:, -1, -2] - turn * (lengths * sums[:, -1, :-2]).sum(axis=-1)
     shift = is_shifted * shift / count
 
@@ -343,14 +348,14 @@ def _fit(sums: Points, given: Floats) -> tuple[Floats, Floats, Body]:
     parameters = parameters[:, None, None] + 2 * is_shifted
     criterion = count * np.log((error + EXACT) / (count + 1))
     criterion += parameters * _penalty(sums)
-    ratio = lengths / given
+    ratio = lengths / given_lengths
     is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
     criterion = np.where(is_absurd, np.inf, criterion).reshape(-1, len(sums))
 
     arms = np.arange(len(sums))
     best = criterion.argmin(axis=0), arms
     least, error, turn, shift = (
-        one.reshape(criterion.shape)[best] for one in (criterion, error, turn, shift)
+        values.reshape(criterion.shape)[best] for values in (criterion, error, turn, shift)
     )
     lengths = lengths.reshape(*criterion.shape, -1)[best]
     return least, error / count, Body(lengths, turn, shift, is_mirrored=arms < 0)

@@ -123,11 +123,11 @@ class Drive(NamedTuple):
         postures = joint_angles[:, None] + SAMPLES[:, None] * left[:, None]
         steps = np.abs(np.diff(hand(postures, lengths[:, None]), axis=-1))
         way = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, axis=-1)], axis=-1)
-        wanted = share(self.elapsed + 1, np.maximum(self.duration, 1e-9)) * way[:, -1]
+        covered = share(self.elapsed + 1, np.maximum(self.duration, 1e-9)) * way[:, -1]
         arms, last = np.arange(len(way)), len(SAMPLES) - 2
-        before = np.minimum((way[:, 1:] < wanted[:, None]).sum(axis=-1), last)
+        before = np.minimum((way[:, 1:] < covered[:, None]).sum(axis=-1), last)
         step = way[arms, before + 1] - way[arms, before]
-        part = (wanted - way[arms, before]) / np.maximum(step, 1e-9)
+        part = (covered - way[arms, before]) / np.maximum(step, 1e-9)
         return (before + np.clip(part, 0.0, 1.0)) / (last + 1)
 
     def invert_servos(

@@ -59,10 +59,10 @@ class ReachProblem(NamedTuple):
     lengths: Floats  # of the segments, (..., N)
     held: Bools | None  # joints that keep their angles, (..., N); None: none
 
-    def of(self, chosen: NDArray[Any]) -> ReachProblem:
+    def of(self, arms: NDArray[Any]) -> ReachProblem:
         """Return the problem of some of the arms, chosen by a mask or by indices."""
-        held = None if self.held is None else self.held[chosen]
-        return ReachProblem(self.joint_angles[chosen], self.aim[chosen], self.lengths[chosen], held)
+        held = None if self.held is None else self.held[arms]
+        return ReachProblem(self.joint_angles[arms], self.aim[arms], self.lengths[arms], held)
 
 
 InternalModel: TypeAlias = Callable[[ReachProblem, int], Floats]

@@ -81,11 +81,14 @@ class Memory(NamedTuple):
         states = np.zeros((arms, len(parts.rate), directions, joints + 2))
         learners = subjects if len(subjects) == arms else [parts] * arms
         shape = arms, len(parts.rate)
-        rate = np.array([one.rate for one in learners]).reshape(shape)
-        retention = np.array([one.retention for one in learners]).reshape(shape)
-        noise = [(math.radians(one.planning_noise), one.motor_noise) for one in learners]
+        rate = np.array([learner.rate for learner in learners]).reshape(shape)
+        retention = np.array([learner.retention for learner in learners]).reshape(shape)
+        noise = [
+            (math.radians(learner.planning_noise), learner.motor_noise) for learner in learners
+        ]
         spread = np.array(noise).reshape(arms, 2)
-        draw = np.array([(one.noise_seed, 0) for one in learners], np.int64).reshape(arms, 2)
+        draws = [(learner.noise_seed, 0) for learner in learners]
+        draw = np.array(draws, np.int64).reshape(arms, 2)
         towards, origin = np.zeros(arms, np.int64), np.zeros(arms, complex)
         places = origin, origin, origin, origin, origin
         return cls(states, towards, *places, rate, retention, spread, draw, origin + 1)
@@ -103,7 +106,12 @@ class Memory(NamedTuple):
         return turn
 
     def begin_movement(
-        self, begins: Bools, seen: Points, target: Points, joint_angles: Floats, given: Floats
+        self,
+        begins: Bools,
+        seen: Points,
+        target: Points,
+        joint_angles: Floats,
+        given_lengths: Floats,
     ) -> Memory:
         """Return the memory where movements begin (`begins`, (n,)) with the hand `seen` there."""
         if not any_true(begins):
@@ -111,7 +119,7 @@ class Memory(NamedTuple):
         directions = self.states.shape[2]
         place = np.rint(np.angle(target - seen) / (2 * np.pi) * directions)
         new = self._replace(towards=place.astype(np.int64) % directions)
-        felt = hand(joint_angles, given + new.belief[:, :-2])
+        felt = hand(joint_angles, given_lengths + new.belief[:, :-2])
         shift, zero = seen - new.turn * felt, np.zeros_like(felt)
         new = new._replace(shift=shift, begin=felt, place=felt, intended=zero, drift=zero)
         if any_true(self.noise):
@@ -136,10 +144,11 @@ class Memory(NamedTuple):
         added = (self.belief[:, :-2] * unit_vectors(joint_angles)).sum(axis=-1)
         return (seen - self.shift) * self.turn.conj() - added
 
-    def body(self, beyond: Body, given: Floats, parts: Parts) -> Body:
+    def body(self, beyond: Body, given_lengths: Floats, parts: Parts) -> Body:
         """Return the body to act on: the belief, and a share of what is identified beyond it."""
         rate = self.rate.sum(axis=1) * _share(beyond.turn, parts)
-        lengths = given + self.belief[:, :-2] + rate[:, None] * (beyond.lengths - given)
+        longer = beyond.lengths - given_lengths
+        lengths = given_lengths + self.belief[:, :-2] + rate[:, None] * longer
         part = np.exp(1j * rate * np.angle(beyond.turn))
         # What is identified turns about the place where the movement began, and may be shifted.
         begin = self.begin
@@ -162,10 +171,11 @@ class Memory(NamedTuple):
         more = pull_hand(levers, intended * (against - 1), FIRM, held)
         return turn + more, self._replace(intended=intended)
 
-    def keep(self, beyond: Body, given: Floats, parts: Parts, rest: float) -> Memory:
+    def keep(self, beyond: Body, given_lengths: Floats, parts: Parts, rest: float) -> Memory:
         """Return the memory for the next movement after a rest of so many seconds."""
-        turn, drift = (np.angle(one) * _share(one, parts) for one in (beyond.turn, self.drift))
-        lengths = (beyond.lengths - given) * _share(beyond.turn, parts)[:, None]
+        turns = beyond.turn, self.drift
+        turn, drift = (np.angle(turn) * _share(turn, parts) for turn in turns)
+        lengths = (beyond.lengths - given_lengths) * _share(beyond.turn, parts)[:, None]
         error = np.concatenate([lengths, turn[:, None], drift[:, None]], axis=-1)
         count = self.states.shape[2]
         away = (np.arange(count) - self.towards[:, None] + count // 2) % count - count // 2
@@ -178,8 +188,9 @@ class Memory(NamedTuple):
 
 def _normal(draw: NDArray[np.int64], step: Floats, count: int) -> Floats:
     """Return standard normal numbers of each arm for a control step of its movement, (n, count)."""
-    seeds = ((*map(int, own), int(at)) for own, at in zip(draw, step, strict=True))
-    return np.array([np.random.default_rng(one).standard_normal(count) for one in seeds])
+    rows = zip(draw, step, strict=True)
+    seeds = ((*map(int, arm_draw), int(arm_step)) for arm_draw, arm_step in rows)
+    return np.array([np.random.default_rng(seed).standard_normal(count) for seed in seeds])
 
 
 def _share(turn: Points, parts: Parts) -> Floats:

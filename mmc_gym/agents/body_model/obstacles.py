@@ -3,7 +3,7 @@
 **Contacts.**  Obstacles are not seen, only felt: they push back joints that are commanded to turn.
 Where the arm rests or slides against an obstacle, one of its points does not move across its
 segment, although it should.  For points along the segments, with the normal n of their segment, the
-wanted speed w·n and the actual speed a·n follow from the commanded turns of the joints and those
+intended speed w·n and the actual speed a·n follow from the commanded turns of the joints and those
 seen.  Over the last control steps,
 
     r = Σ |a·n| / Σ |w·n|
@@ -42,7 +42,7 @@ LACKED_TURN = 0.02  # turn that a joint lacks in a control step if the arm is he
 LACKED_AT_REST = 0.015  # the same if all joints rest
 HELD_TURN = 0.002  # joints that turn by less in a control step rest, radians
 RECENT = 0.6  # share of the sums of speeds that remains after a control step
-WANTED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
+INTENDED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
 BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
 FADES = 0.9  # share of that loss which remains after a control step
 TOUCHES_AFTER_BLOW = 3  # control steps of small r until a point that lost speed is in contact
@@ -74,7 +74,7 @@ class Contacts(NamedTuple):
     """Memory of obstacles, and running sums about each point of the arm, (n, N · points)."""
 
     discs: Points  # centres of the obstacles, `NOWHERE` if there are fewer, (n, MOST_DISCS)
-    wanted: Floats  # Σ |w·n|, segment lengths
+    intended: Floats  # Σ |w·n|, segment lengths
     actual: Floats  # Σ |a·n|, segment lengths
     blow: Floats  # speed recently lost, segment lengths per control step
     rests: Floats  # number of control steps of small r
@@ -96,55 +96,55 @@ class Contacts(NamedTuple):
         lacks = (lack > LACKED_TURN) & counts
         is_still = (lack > LACKED_AT_REST) & (np.abs(turn).max(axis=-1) < HELD_TURN) & counts
         if not any_true(lacks | is_still):
-            return self._released() if any_true(self.wanted) or any_true(self.is_new) else self
+            return self._released() if any_true(self.intended) or any_true(self.is_new) else self
         units = unit_vectors(step.after.joint_angles)
-        wanted = _across(units, lengths, step.commanded)
+        intended = _across(units, lengths, step.commanded)
         actual = _across(units, lengths, turn)
-        lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(wanted)
-        after = self._pressed(wanted, actual, lost, lacks[:, None], is_still)
+        lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(intended)
+        after = self._pressed(intended, actual, lost, lacks[:, None], is_still)
         after = where(lacks | is_still, after, self._released())
-        is_new, point = after._point_of_contact(wanted)
+        is_new, point = after._point_of_contact(intended)
         after = after._replace(is_new=is_new)
         if not any_true(is_new):
             return after
         arms, (segment, place) = np.arange(len(units)), np.divmod(point, len(POINTS))
         segments = lengths * units
         begin = (np.cumsum(segments, axis=-1) - segments)[arms, segment]
-        normal = 1j * units[arms, segment] * np.sign(wanted[arms, point])
+        normal = 1j * units[arms, segment] * np.sign(intended[arms, point])
         disc = begin + POINTS[place] * segments[arms, segment] + RADIUS * normal
         return where(is_new, self._remember(disc)._released()._replace(is_new=is_new), after)
 
     def _released(self) -> Contacts:
         """Return the memory of obstacles with new sums, for arms that nothing holds back."""
-        arms, points = self.wanted.shape
+        arms, points = self.intended.shape
         start = self.start(arms, points // len(POINTS))
         return start._replace(discs=self.discs, located=self.located)
 
     def _pressed(
-        self, wanted: Floats, actual: Floats, lost: Floats, lacks: Bools, is_still: Bools
+        self, intended: Floats, actual: Floats, lost: Floats, lacks: Bools, is_still: Bools
     ) -> Contacts:
         """Return the running sums one control step later.
 
-        The points should have moved by `wanted`, did move by `actual`, and lost speed.  The sums of
-        arms that lack no turn (`lacks`, (n, 1)) begin anew.
+        The points should have moved by `intended`, did move by `actual`, and lost speed.  The sums
+        of arms that lack no turn (`lacks`, (n, 1)) begin anew.
         """
-        total = RECENT * self.wanted * lacks + np.abs(wanted)
+        total = RECENT * self.intended * lacks + np.abs(intended)
         moved = RECENT * self.actual * lacks + np.abs(actual)
-        is_at_rest = (total > WANTED_WAY) & (moved < STOPPED_RATIO * total) & lacks
+        is_at_rest = (total > INTENDED_WAY) & (moved < STOPPED_RATIO * total) & lacks
         return self._replace(
-            wanted=total,
+            intended=total,
             actual=moved,
             blow=np.maximum(FADES * self.blow * lacks, lost),
             rests=np.where(is_at_rest, self.rests + 1, 0.0),
             still=np.where(is_still, self.still + 1, 0.0),
         )
 
-    def _point_of_contact(self, wanted: Floats) -> tuple[Bools, NDArray[np.intp]]:
+    def _point_of_contact(self, intended: Floats) -> tuple[Bools, NDArray[np.intp]]:
         """Return which arms are in contact, (n,), and with which of their points, (n,)."""
         touches = self.rests >= np.where(self.blow > BLOW, TOUCHES_AFTER_BLOW, TOUCHES)
         is_felt = touches.any(axis=-1)
-        ratio = np.where(touches, self.actual / np.maximum(self.wanted, 1e-9), np.inf)
-        point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(wanted).argmax(axis=-1))
+        ratio = np.where(touches, self.actual / np.maximum(self.intended, 1e-9), np.inf)
+        point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(intended).argmax(axis=-1))
         return is_felt | (self.still >= LASTING), point
 
     def _remember(self, disc: Points) -> Contacts:
@@ -277,14 +277,14 @@ class RoadMap:
             vias = np.where(problem.held[0], start, vias)
         vias = vias[clearance(vias, lengths, discs) > RADIUS]
         nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
-        one, other = self._legs(nodes, first_via)
+        begins, ends = self._legs(nodes, first_via)
         cost = np.full((len(nodes), len(nodes)), np.inf)
-        leg_cost = leg_costs(self.interface, nodes[one], nodes[other], lengths, discs)
-        cost[one, other] = cost[other, one] = leg_cost
-        chosen = _shortest(cost, np.arange(1, first_via))
-        if chosen is None:
+        leg_cost = leg_costs(self.interface, nodes[begins], nodes[ends], lengths, discs)
+        cost[begins, ends] = cost[ends, begins] = leg_cost
+        shortest = _shortest(cost, np.arange(1, first_via))
+        if shortest is None:
             return None
-        nodes = nodes[chosen]
+        nodes = nodes[shortest]
         for _ in range(TIGHTENED):
             self._tighten(nodes, lengths, discs)
         return nodes[1:]
@@ -311,11 +311,11 @@ class RoadMap:
             before, via, after = nodes[k - 1 : k + 2]
             here, past = self.interface.turn(before, via), self.interface.turn(before, after)
             share = np.clip((here @ past) / np.maximum(past @ past, 1e-9), 0, 1)
-            tried = via + SHORTCUTS[:, None] * (share * past - here)
-            cost = leg_costs(self.interface, before, tried, lengths, discs)
-            cost = cost + leg_costs(self.interface, tried, after, lengths, discs)
+            candidates = via + SHORTCUTS[:, None] * (share * past - here)
+            cost = leg_costs(self.interface, before, candidates, lengths, discs)
+            cost = cost + leg_costs(self.interface, candidates, after, lengths, discs)
             if np.isfinite(cost.min()):
-                nodes[k] = tried[cost.argmin()]
+                nodes[k] = candidates[cost.argmin()]
 
 
 def _shortest(cost: Floats, ends: NDArray[np.intp]) -> list[int] | None:

@@ -82,16 +82,16 @@ class Parts:
         rate = np.clip(self.rate * (1 + self.rate_spread * normal[0]), 0, 1)
         retention = np.clip(self.retention + self.retention_spread * normal[1], 0, 1)
         rate /= max(1.0, rate.sum())
-        own: dict[str, Any] = {
+        subject_settings: dict[str, Any] = {
             "rate": tuple(rate.tolist()),
             "retention": tuple(retention.tolist()),
         }
         if self.is_noisy:
             factor = max(0.0, 1 + self.noise_spread * random.standard_normal())
-            own["planning_noise"] = min(180.0, factor * self.planning_noise)
-            own["motor_noise"] = min(1.0, factor * self.motor_noise)
-            own["noise_seed"] = int(random.integers(2**32))
-        return replace(self, **own)
+            subject_settings["planning_noise"] = min(180.0, factor * self.planning_noise)
+            subject_settings["motor_noise"] = min(1.0, factor * self.motor_noise)
+            subject_settings["noise_seed"] = int(random.integers(2**32))
+        return replace(self, **subject_settings)
 
 
 def _are_shares(numbers: tuple[float, ...]) -> bool:

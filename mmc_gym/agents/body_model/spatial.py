@@ -135,8 +135,8 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         postures = np.empty((0, len(now)))
         for starts in (np.array([now, goal]), np.clip(now + self.around, *arm.limits.T)):
             starts = np.where(held, now, starts)
-            found = self.model(arm, aim, starts, held, TOLERANCE_SHARE * self.within)
-            postures = np.concatenate([postures, found])
+            settled = self.model(arm, aim, starts, held, TOLERANCE_SHARE * self.within)
+            postures = np.concatenate([postures, settled])
             missed = np.linalg.norm(arm.forward(postures)[:, :3, 3] - aim, axis=-1)
             beyond = np.maximum(missed - FREE_SHARE * self.within, 0.0) / self.reach
             if not self.parts.imagines or not beyond.all():
@@ -165,9 +165,9 @@ def lengthened(arm: HingeArm, shares: Floats) -> HingeArm:
 def likely_shares(sums: Floats, looks: float, exact: float) -> Floats:
     """Return the best hypothesis s, (n + 1,), from Σ WᵀW; `exact` is the negligible square."""
     gram, pull, ridge, size = sums[:-1, :-1], sums[:-1, -1], exact / PRIOR**2, len(sums) - 1
-    single = np.diag(pull / (np.diagonal(gram) + ridge))
-    every = np.linalg.solve(gram + ridge * np.eye(size), pull)
-    shares = np.vstack([np.zeros(size), single, every])
+    one_link = np.diag(pull / (np.diagonal(gram) + ridge))
+    all_links = np.linalg.solve(gram + ridge * np.eye(size), pull)
+    shares = np.vstack([np.zeros(size), one_link, all_links])
     left = sums[-1, -1] - 2 * shares @ pull + ((shares @ gram + ridge * shares) * shares).sum(1)
     criterion = looks * np.log((np.maximum(left, 0.0) + exact) / (looks + 1))
     criterion += np.array([0, *[1] * size, size]) * (PENALTY + 2 * np.log1p(looks))
