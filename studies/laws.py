@@ -114,7 +114,9 @@ def fitts_line(episodes: Sequence[Episode]) -> Line:
         groups[round(float(episode.distances[0]), 3)].append(episode)
     conditions = []
     for (distance, group), width in product(groups.items(), FITTS_WIDTHS):
-        times = [arrival_time(one.distances, width / 2, one.control_step) for one in group]
+        times = [
+            arrival_time(episode.distances, width / 2, episode.control_step) for episode in group
+        ]
         conditions.append((distance, width, float(np.mean(times))))
     return fitts_law(*np.transpose(conditions)) if conditions else NO_LINE
 
@@ -150,8 +152,8 @@ def power_line(episodes: Sequence[Episode]) -> Line:
         speed_curvature_law(e.hands[round(WARM_UP / e.control_step) :], e.control_step)
         for e in episodes
     ]
-    found = [line for line in lines if not math.isnan(line.slope)]
-    return Line(*np.median(found, axis=0).tolist()) if found else NO_LINE
+    fitted = [line for line in lines if not math.isnan(line.slope)]
+    return Line(*np.median(fitted, axis=0).tolist()) if fitted else NO_LINE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,8 +165,8 @@ class Law(Quantity):
 
 
 LAWS = {
-    one.name: one
-    for one in (
+    law.name: law
+    for law in (
         Law(
             name="posture_variability",
             label="posture variability",

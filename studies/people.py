@@ -83,21 +83,23 @@ VARIANTS: dict[str, tuple[Any, dict[str, Any]]] = {  # agents, and how they go t
 def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
     """Return a row for each measure of single movements and agent, which moves as people do."""
     rows = []
+    plain_agents = [agent for agent in agents if agent not in VARIANTS]
     for scenario, names in track(MOVEMENTS.items(), "movements", transient=True):
-        for agent in (one for one in agents if one not in VARIANTS):
-            made = BODY.get(agent, agent)
-            played = play(made, SCENARIOS[scenario], episodes, seed=0)
+        for agent in plain_agents:
+            player = BODY.get(agent, agent)
+            movements = play(player, SCENARIOS[scenario], episodes, seed=0)[0]
             for name in names:
                 if name in MEASURES:
-                    known = MEASURES[name]
-                    values = [known.of(one) for one in played[0]]
-                    found = vars(sample_interval(values, known.statistic))
+                    quantity = MEASURES[name]
+                    values = [quantity.of(movement) for movement in movements]
+                    interval = vars(sample_interval(values, quantity.statistic))
                 else:
-                    known = LAWS[name]
-                    found = {"estimate": known.of(played[0]), "low": math.nan, "high": math.nan}
-                facts = {"measure": name, "label": known.label, "unit": known.unit}
-                facts["decimals"] = max(known.decimals, 2)
-                rows.append({"agent": agent, "of": scenario, **facts, **found})
+                    quantity = LAWS[name]
+                    estimate = quantity.of(movements)
+                    interval = {"estimate": estimate, "low": math.nan, "high": math.nan}
+                facts = {"measure": name, "label": quantity.label, "unit": quantity.unit}
+                facts["decimals"] = max(quantity.decimals, 2)
+                rows.append({"agent": agent, "of": scenario, **facts, **interval})
     return with_people(pd.DataFrame(rows)).to_dict("records")
 
 
@@ -108,33 +110,39 @@ def learning_rows(
     rows = []
     for experiment in track(experiments, "experiments", transient=True):
         names = EXPERIMENTS[experiment]
-        result = _played(experiment, agents, subjects, store)
+        result = _run_agents(experiment, agents, subjects, store)
         table = learning_table(result)
         in_lengths = table["unit"] == "lengths"
         table.loc[in_lengths, ["estimate", "low", "high"]] *= METRES
         table.loc[in_lengths, "unit"] = "m"
-        chosen = table[table["measure"].isin(names)].assign(of=experiment)
-        order = chosen["measure"].map(names.index).sort_values(kind="stable")  # agents keep theirs
-        rows += chosen.loc[order.index].to_dict("records")
+        shown_rows = table[table["measure"].isin(names)].assign(of=experiment)
+        # In the order of names; agents keep theirs.
+        order = shown_rows["measure"].map(names.index).sort_values(kind="stable")
+        rows += shown_rows.loc[order.index].to_dict("records")
         save_figure(learning_figure(result, table), pictures / experiment)
     return rows
 
 
-def _played(experiment: str, agents: Sequence[str], subjects: int, store: Path) -> ExperimentResult:
+def _run_agents(
+    experiment: str, agents: Sequence[str], subjects: int, store: Path
+) -> ExperimentResult:
     """Return the movements of agents, some of which are `VARIANTS`."""
-    plain: list[tuple[Any, dict[str, Any]]]
-    plain = [([one for one in agents if one not in VARIANTS], {})]
-    varied = [({one: VARIANTS[one][0]}, VARIANTS[one][1]) for one in agents if one in VARIANTS]
-    found = [
-        run_experiment(experiment, made, subjects, out=store, **how)
-        for made, how in plain + varied
-        if made
+    runs: list[tuple[Any, dict[str, Any]]]
+    runs = [([agent for agent in agents if agent not in VARIANTS], {})]
+    for label in agents:
+        if label in VARIANTS:
+            agent, settings = VARIANTS[label]
+            runs.append(({label: agent}, settings))
+    results = [
+        run_experiment(experiment, players, subjects, out=store, **settings)
+        for players, settings in runs
+        if players
     ]
     paths = ("hands", "cursors", "targets")
     return replace(
-        found[0],
-        trials=pd.concat([one.trials for one in found], ignore_index=True),
-        **{name: np.concatenate([getattr(one, name) for one in found]) for name in paths},
+        results[0],
+        trials=pd.concat([result.trials for result in results], ignore_index=True),
+        **{name: np.concatenate([getattr(result, name) for result in results]) for name in paths},
     )
 
 
@@ -152,13 +160,13 @@ def shown(row: Mapping[str, Any]) -> str:
 
 def tables(rows: pd.DataFrame) -> list[list[dict[str, str]]]:
     """Return tables for each scenario and experiment: a row for people and each agent."""
-    found = []
+    lines_of_tables = []
     for of, group in rows.groupby("of", sort=False):
         measures = [*dict.fromkeys(group["measure"])]
         for first in range(0, len(measures), QUANTITIES):
-            some = group[group["measure"].isin(measures[first : first + QUANTITIES])]
-            found.append(_table(str(of), some))
-    return found
+            is_in_table = group["measure"].isin(measures[first : first + QUANTITIES])
+            lines_of_tables.append(_table(str(of), group[is_in_table]))
+    return lines_of_tables
 
 
 def _table(of: str, rows: pd.DataFrame) -> list[dict[str, str]]:

@@ -27,7 +27,7 @@ from studies.tables import table_of
 def level(targets: tuple[float, ...]) -> float:
     """Return x for targets in these directions, degrees."""
     away = [(target + 180) % 360 - 180 for target in targets]
-    near = np.mean([math.exp(-((one / TUNED.width) ** 2) / 2) for one in away])
+    near = np.mean([math.exp(-((angle / TUNED.width) ** 2) / 2) for angle in away])
     return float(TUNED.rate[0] * TUNED.largest_error / (1 - TUNED.retention[0]) * near)
 
 
@@ -47,8 +47,8 @@ def main(counts: tuple[int, ...] = (1, 2, 4, 8), trials: int = 200, subjects: in
         result = run_experiment(Experiment("levels", blocks), agents, subjects, jobs=1)
         way = (result.hands[:, -1] - result.hands[:, 0]) @ (1, 1j)
         turned = np.angle(way * np.exp(-1j * np.radians(result.trials["target_angle"])), deg=True)
-        found = -turned[result.trials["trial"] >= 8 + trials * 2 // 3].mean()
-        rows.append({"targets": count, "arithmetic [°]": level(targets), "hand [°]": found})
+        hand_angle = -turned[result.trials["trial"] >= 8 + trials * 2 // 3].mean()
+        rows.append({"targets": count, "arithmetic [°]": level(targets), "hand [°]": hand_angle})
     shown = [{name: f"{value:.3g}" for name, value in row.items()} for row in rows]
     Console().print(table_of(shown, "levels of error clamps"))
 

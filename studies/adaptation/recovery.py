@@ -109,10 +109,10 @@ def recovery(
     of_curve = np.ravel(fit(curve[np.newaxis]))
     for group in range(groups):
         curves = simulate(group)
-        found = np.reshape(fit(resampled_means(curves, RESAMPLES)), (-1, len(learner)))
+        fits = np.reshape(fit(resampled_means(curves, RESAMPLES)), (-1, len(learner)))
         tails = expanded_tails(len(curves))
-        estimates.append(found[0])
-        bounds.append([percentile_interval(one, tails) for one in found[1:].T])
+        estimates.append(fits[0])
+        bounds.append([percentile_interval(resampled, tails) for resampled in fits[1:].T])
     low, high = np.moveaxis(np.array(bounds), -1, 0)
     of_learner = np.array(list(learner.values()))
     columns = {
@@ -154,17 +154,18 @@ def state_rows(schedule: str, states: int, spread: float, groups: int, subjects:
     def fit(curves: Floats) -> Floats:
         return fit_states(curves, perturbations, clamps, states=states)
 
-    one = {name: getattr(learner, name) for name in names}
-    many = simulate_learners(learner, perturbations, clamps, subjects=MANY, spread=spread)[0]
-    found = recovery(fit, simulate, one, many.mean(axis=0), groups)
+    parameters = {name: getattr(learner, name) for name in names}
+    population = simulate_learners(learner, perturbations, clamps, subjects=MANY, spread=spread)[0]
+    recovered = recovery(fit, simulate, parameters, population.mean(axis=0), groups)
     seen: Any = {"perturbation": perturbations, "clamp": clamps}
-    chosen = 0
+    correct = 0
     for group in range(groups):
         mean = simulate(group).mean(axis=0)
         bics = [fit_curve(mean, kind, **seen).bic for kind in ("one-state", "two-state")]
-        chosen += (bics[1] < bics[0]) == (states == 2)
+        correct += (bics[1] < bics[0]) == (states == 2)
     case = f"{states} state{'s' * (states > 1)}, {schedule}, {'differ' if spread else 'alike'}"
-    return [(case, name, own, f"{chosen / groups:.0%}") for name, own in found.items()]
+    share = f"{correct / groups:.0%}"
+    return [(case, name, columns, share) for name, columns in recovered.items()]
 
 
 def main(groups: int = 100, subjects: int = 12) -> None:
@@ -194,20 +195,20 @@ def main(groups: int = 100, subjects: int = 12) -> None:
             {"σ [°]": WIDTH},
         ),
     ]
-    for case, fit, curve, true in plain:
+    for case, fit, curve, parameters in plain:
 
         def noisy(group: int, curve: Floats = curve) -> Floats:
             shape = (subjects, len(curve))
             return np.asarray(curve + np.random.default_rng(group).normal(0.0, NOISE, shape))
 
-        found = recovery(fit, noisy, true, curve, groups)
-        rows += [(case, name, own, "–") for name, own in found.items()]
+        recovered = recovery(fit, noisy, parameters, curve, groups)
+        rows += [(case, name, columns, "–") for name, columns in recovered.items()]
     printed = [
         {"case": case, "parameter": name}
-        | {key: f"{own[key]:.4f}" for key in ("learner", "curve", "mean", "sd")}
-        | {key: f"{own[key]:.0%}" for key in ("coverage", "of learner")}
-        | {"chosen": chosen}
-        for case, name, own, chosen in rows
+        | {key: f"{columns[key]:.4f}" for key in ("learner", "curve", "mean", "sd")}
+        | {key: f"{columns[key]:.0%}" for key in ("coverage", "of learner")}
+        | {"chosen": share}
+        for case, name, columns, share in rows
     ]
     title = f"{groups} groups of {subjects} simulated learners"
     Console(width=120).print(table_of(printed, title))

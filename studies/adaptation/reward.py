@@ -69,11 +69,11 @@ def curve(model: BaseAlgorithm, arguments: Arguments) -> list[tuple[int, float, 
     """Rotate the cursor, and return trials, hand angle and success while the model learns."""
     turned = make(arguments.degrees)
     model.set_env(make_vec_env(lambda: make(arguments.degrees), seed=arguments.seed))
-    found = [(0, *measured(model, turned))]
+    points = [(0, *measured(model, turned))]
     for trials in range(arguments.every, arguments.trials + 1, arguments.every):
         model.learn(arguments.every * STEPS, reset_num_timesteps=False)
-        found.append((trials, *measured(model, turned)))
-    return found
+        points.append((trials, *measured(model, turned)))
+    return points
 
 
 def trained_sac(arguments: Arguments) -> SAC:

@@ -81,10 +81,10 @@ def success(name: str, setting: str, episodes: int) -> str:
 def step_times(setting: str, count: int) -> tuple[str, str]:
     """Return the time of a step in µs, for one arm and for each of 256."""
     with solved(setting):
-        one = gym.make(ENV, max_episode_steps=10**9, **SETTINGS[setting])
-        many = gym.make_vec(ENV, 256, **SETTINGS[setting])
+        single = gym.make(ENV, max_episode_steps=10**9, **SETTINGS[setting])
+        vector = gym.make_vec(ENV, 256, **SETTINGS[setting])
     times = []
-    for env, arms, steps in ((one, 1, count), (many, 256, max(count // 100, 1))):
+    for env, arms, steps in ((single, 1, count), (vector, 256, max(count // 100, 1))):
         env.reset(seed=0)
         action = env.action_space.sample()
         best = min(timeit.repeat(lambda: env.step(action), number=steps, repeat=5))  # noqa: B023

@@ -56,9 +56,9 @@ class Arguments:
 def cause(episode: Episode, setup: ReachSetup) -> str:
     """Return the cause of a failed episode, one of `CAUSES`."""
     hands, targets = episode.seen_hands, episode.targets
-    if (made := setup.first).lock_step > 0:
-        locked, cursor = made.body.lockable_joints, made.cursor
-        workspace = Workspace(made.body, setup.given_body, locked, cursor)
+    if (drawn := setup.first).lock_step > 0:
+        locked, cursor = drawn.body.lockable_joints, drawn.cursor
+        workspace = Workspace(drawn.body, setup.given_body, locked, cursor)
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"
     rests = (targets == targets[-1]).all(axis=-1)
@@ -98,25 +98,25 @@ def main(arguments: Arguments) -> None:
     for scenario in track(list(find_scenarios(arguments.scenarios).values()), transient=True):
         with closing(scenario.make()) as env:
             setup = env.unwrapped.setup
-        seen, *_ = play(arguments.agent, scenario, arguments.episodes, arguments.seed)
-        given = play(KnownBody, scenario, arguments.episodes, arguments.seed)
-        failed = np.flatnonzero(successes([seen])[0] == 0)
-        causes = {number: cause(seen[number], setup) for number in failed}
-        both = int((successes(given)[0][failed] == 0).sum())
-        counts = Counter({"episodes": len(seen), "both": both}) + Counter(causes.values())
+        episodes, *_ = play(arguments.agent, scenario, arguments.episodes, arguments.seed)
+        informed = play(KnownBody, scenario, arguments.episodes, arguments.seed)
+        failed = np.flatnonzero(successes([episodes])[0] == 0)
+        causes = {number: cause(episodes[number], setup) for number in failed}
+        both = int((successes(informed)[0][failed] == 0).sum())
+        counts = Counter({"episodes": len(episodes), "both": both}) + Counter(causes.values())
         total += counts
         if len(failed):
             rows.append(_row(scenario.name, counts, map(str, failed)))
         for number in failed if arguments.draw is not None else ():
             name = f"{scenario.name}-{number}-{causes[number].replace(' ', '-')}.png"
-            draw(seen[number], setup, arguments.draw / name)
+            draw(episodes[number], setup, arguments.draw / name)
     rows.append(_row("all", total))
     Console(width=150).print(table_of(rows, f"failures of {arguments.agent}"))
 
 
 def _row(name: str, counts: Counter[str], failed: Iterable[str] = ()) -> dict[str, str]:
-    numbers = {one: str(counts[one] or "") for one in CAUSES}
-    failures, shown = sum(counts[one] for one in CAUSES), list(failed)
+    numbers = {reason: str(counts[reason] or "") for reason in CAUSES}
+    failures, shown = sum(counts[reason] for reason in CAUSES), list(failed)
     return {
         "scenario": name,
         "failures": f"{failures} of {counts['episodes']}",

@@ -84,8 +84,8 @@ def main(arguments: Arguments) -> None:
     for name in track([name for name in SCENARIOS if arguments.only in name], transient=True):
         row = {"scenario": name}
         for heading, agent in AGENTS.items():
-            played = play(agent, SCENARIOS[name], arguments.episodes, arguments.seed)
-            row[heading] = percent(played, interval=True)
+            episodes = play(agent, SCENARIOS[name], arguments.episodes, arguments.seed)
+            row[heading] = percent(episodes, interval=True)
         rows.append(row)
     Console(width=170).print(table_of(rows, f"success %, {arguments.episodes} episodes"))
 

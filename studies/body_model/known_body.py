@@ -47,7 +47,7 @@ class KnownBody(BodyAgent):
             if is_mirrored:
                 turn, shift = turn.conjugate(), shift.conjugate()
         lengths = np.tile(self.episode.body.segment_lengths, (arms, 1))
-        body = Body(lengths, *(np.full(arms, one) for one in (turn, shift, is_mirrored)))
+        body = Body(lengths, *(np.full(arms, value) for value in (turn, shift, is_mirrored)))
         delay = state.senses.delay._replace(late=np.full(arms, float(self.late)))
         return state._replace(
             evidence=state.evidence._replace(body=body, best=body),

@@ -38,7 +38,7 @@ from mmc_gym.measures.reaching import success, time_to_target
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 from mmc_gym.network import EuclideanNormalizer
 from studies.body_model.known_body import KnownBody
-from studies.body_model.playing import Make, Played, body_model, percent, play
+from studies.body_model.playing import EpisodesByTraining, Make, body_model, percent, play
 from studies.tables import table_of
 
 SCENARIOS = """
@@ -86,7 +86,9 @@ class Arguments:
     seed: int = 30_000  # seed of the episodes
     model: str = "mmc"  # internal model of the agents in the table of parts, mmc or ik
 
-    def played(self, agent: Make, scenario: Playable, control: str | None = None) -> Played:
+    def episodes_of(
+        self, agent: Make, scenario: Playable, control: str | None = None
+    ) -> EpisodesByTraining:
         """Return the episodes of an agent, by the default control mode if None is given."""
         return play(agent, scenario, self.episodes, self.seed, control)
 
@@ -99,35 +101,43 @@ def of_parts(arguments: Arguments) -> Table:
     """Return the table of the parts."""
     build = {"mmc": mmc_body, "ik": ik_body}[arguments.model]
     without = {heading: Parts(**{part: False}) for part, heading in PARTS.items()}
-    chosen = {"all": Parts(), **without, "none": Parts(**dict.fromkeys(PARTS, False))}
-    agents = {heading: body_model(parts, build) for heading, parts in chosen.items()}
+    parts_by_heading = {"all": Parts(), **without, "none": Parts(**dict.fromkeys(PARTS, False))}
+    agents = {heading: body_model(parts, build) for heading, parts in parts_by_heading.items()}
     if arguments.model == "mmc":
         agents = {"given the truth": KnownBody, **agents}
     rows = []
     for scenario in track(arguments.each(SCENARIOS), transient=True):
-        found = {name: percent(arguments.played(make, scenario)) for name, make in agents.items()}
+        cells = {
+            name: percent(arguments.episodes_of(make, scenario)) for name, make in agents.items()
+        }
         for control in CONTROLS:  # what the action mode is worth
-            found[f"all,\n{control}"] = percent(arguments.played(agents["all"], scenario, control))
-        rows.append({"scenario": scenario.name, **found})
+            cells[f"all,\n{control}"] = percent(
+                arguments.episodes_of(agents["all"], scenario, control)
+            )
+        rows.append({"scenario": scenario.name, **cells})
     title = f"{arguments.model}-body: success %, {arguments.episodes} episodes; acts by joint_delta"
     return table_of(rows, title)
 
 
 def of_switches(arguments: Arguments) -> Table:
     """Return the table of the network's switches: success, median time to target; its cost."""
-    agents = {heading: body_model(**how) for heading, how in SWITCHES.items()}
+    agents = {heading: body_model(**settings) for heading, settings in SWITCHES.items()}
     rows = []
     for scenario in track(arguments.each(SCENARIOS), transient=True):
         row = {"": scenario.name}
         for heading, make in agents.items():
-            played = arguments.played(make, scenario)
-            row[heading] = f"{percent(played)}  {_time(played[0]):.2f}"
+            episodes = arguments.episodes_of(make, scenario)
+            row[heading] = f"{percent(episodes)}  {_time(episodes[0]):.2f}"
         rows.append(row)
-    missed = [misses(**how) for how in SWITCHES.values()]
+    courses = [misses(**settings) for settings in SWITCHES.values()]
     times = action_times(list(agents.values()))
     cost = {
-        f"iterations to a median miss of {SETTLED}": [_first(one, SETTLED) for one in missed],
-        f"median miss after {SETTLE}, in lengths": [f"{one[SETTLE - 1]:.4f}" for one in missed],
+        f"iterations to a median miss of {SETTLED}": [
+            _first(course, SETTLED) for course in courses
+        ],
+        f"median miss after {SETTLE}, in lengths": [
+            f"{course[SETTLE - 1]:.4f}" for course in courses
+        ],
         "time per action of one arm, µs": [f"{1e6 * time:.0f}" for time in times],
     }
     rows += [{"": heading, **dict(zip(agents, cells))} for heading, cells in cost.items()]
@@ -141,17 +151,17 @@ def of_vigour(arguments: Arguments) -> Table:
     for scenario in track(arguments.each(HUMAN), transient=True):
         for vigour in VIGOURS:
             parts = Parts(vigour=vigour)
-            played = arguments.played(body_model(parts), scenario)
-            given = arguments.played(partial(KnownBody, parts=parts), scenario)
-            arrived = [one for one in played[0] if success(one)]
-            likeness = np.array([minimum_jerk_correlation(one) for one in arrived])
+            episodes = arguments.episodes_of(body_model(parts), scenario)
+            informed = arguments.episodes_of(partial(KnownBody, parts=parts), scenario)
+            arrived = [episode for episode in episodes[0] if success(episode)]
+            likeness = np.array([minimum_jerk_correlation(episode) for episode in arrived])
             likeness = likeness[~np.isnan(likeness)]  # NaN where the hand began at the target
-            peaks = np.array([velocity_peaks(one) for one in arrived])
+            peaks = np.array([velocity_peaks(episode) for episode in arrived])
             row = {
                 "scenario": scenario.name if vigour == VIGOURS[0] else "",
                 "vigour": f"{vigour:g}",
-                "success %": percent(played),
-                "given the truth": percent(given),
+                "success %": percent(episodes),
+                "given the truth": percent(informed),
                 "time to target, s": f"{_time(arrived):.2f}",
                 "correlation with\nminimum jerk, median": f"{np.median(likeness):.3f}",
                 f"above {BELL}, %": f"{100 * np.mean(likeness >= BELL):.1f}",
@@ -165,15 +175,15 @@ def misses(arms: int = 500, **settings: Any) -> np.ndarray:
     """Return the median distance of imagined hands from their targets after 1, 2, … iterations."""
     arm = ReachInterface((1.0,) * 3, "joint_position", 6.0, 12.0, 0.02)
     network = network_of_body(arm, **settings)
-    starts, wanted = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, arms, 3))
-    target = segments_from_joint_angles(wanted, network.segment_lengths).sum(axis=1)
+    starts, goals = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, arms, 3))
+    target = segments_from_joint_angles(goals, network.segment_lengths).sum(axis=1)
     state, clamps = network.state_from_joint_angles(starts), network.inverse(target)
-    found = []
+    medians = []
     for _ in range(10 * SETTLE):
         state = network.run(state, clamps, 1)
         hands = segments_from_joint_angles(state.joint_angles, network.segment_lengths).sum(axis=1)
-        found.append(np.median(np.linalg.norm(hands - target, axis=-1)))
-    return np.array(found)
+        medians.append(np.median(np.linalg.norm(hands - target, axis=-1)))
+    return np.array(medians)
 
 
 def action_times(agents: Sequence[Make], rounds: int = 7) -> np.ndarray:
@@ -182,13 +192,13 @@ def action_times(agents: Sequence[Make], rounds: int = 7) -> np.ndarray:
     players = [make(env) for make in agents]
     times = []
     for seed in range(rounds):
-        played = [run_episodes(player, env, [seed])[0] for player in players]
-        times.append([np.median(one.action_times) for one in played])
+        episodes = [run_episodes(player, env, [seed])[0] for player in players]
+        times.append([np.median(episode.action_times) for episode in episodes])
     return np.median(times, axis=0)
 
 
 def _time(episodes: Sequence[Episode]) -> float:
-    return float(np.nanmedian([time_to_target(one) for one in episodes]))
+    return float(np.nanmedian([time_to_target(episode) for episode in episodes]))
 
 
 def _first(misses: np.ndarray, least: float) -> str:

@@ -23,57 +23,57 @@ from mmc_gym.measures.reaching import success
 
 Make: TypeAlias = Callable[[Any], Agent[Any]]
 """A function that makes an agent for an environment."""
-Played: TypeAlias = list[tuple[Episode, ...]]
+EpisodesByTraining: TypeAlias = list[tuple[Episode, ...]]
 """The episodes of an agent, by training; agents without training have one entry."""
 
 
 def body_model(
-    parts: Parts = ALL_PARTS, build: Callable[..., Agent[Any]] = mmc_body, **how: Any
+    parts: Parts = ALL_PARTS, build: Callable[..., Agent[Any]] = mmc_body, **settings: Any
 ) -> Make:
     """Return a function that makes an agent with a body model of these parts."""
-    return lambda env: build(ReachInterface.of(env), parts, **how)
+    return lambda env: build(ReachInterface.of(env), parts, **settings)
 
 
 def play(
     agent: str | Make, scenario: Playable, episodes: int, seed: int, control: str | None = None
-) -> Played:
+) -> EpisodesByTraining:
     """Return the episodes of an agent: those of the benchmark if the seed is 0 and `control` None.
 
     Every agent plays the same postures, targets and noise, in another control mode if it is given.
     The list is empty if the agent cannot act in the scenario.
     """
-    asked = {} if control is None else {"control": control}
+    arguments = {} if control is None else {"control": control}
     instances = scenario.instances(episodes)
     seeds = episode_seeds(seed, len(instances))
-    played = []
-    for one in resolve_all(agent if isinstance(agent, str) else {"agent": agent}):
+    by_training = []
+    for resolved_agent in resolve_all(agent if isinstance(agent, str) else {"agent": agent}):
         try:
             with warnings.catch_warnings():  # the arm may differ from the training's
                 warnings.simplefilter("ignore", MismatchWarning)
-                env, player = make_player(one, scenario.with_arguments(**asked))
+                env, player = make_player(resolved_agent, scenario.with_arguments(**arguments))
         except CannotActError:
             continue
         with closing(env), closing(scenario.make_vec(len(seeds), env.unwrapped.control)) as arms:
-            played.append(
+            by_training.append(
                 run_episodes(player, arms, seeds, options=instances, records_effort=False)
             )
-    return played
+    return by_training
 
 
-def successes(played: Played) -> np.ndarray:
+def successes(by_training: EpisodesByTraining) -> np.ndarray:
     """Return 1 for a success and 0 for a failure, (trainings, episodes)."""
-    return np.array([[success(one) for one in episodes] for episodes in played])
+    return np.array([[success(episode) for episode in episodes] for episodes in by_training])
 
 
-def percent(played: Played, *, interval: bool = False) -> str:
+def percent(by_training: EpisodesByTraining, *, interval: bool = False) -> str:
     """Return the success in per cent.
 
     With `interval`, its interval over trainings and episodes follows, unless all ended alike.
     """
-    if not played:
+    if not by_training:
         return "–"
-    found = sample_interval(successes(played), "mean")
-    text = f"{100 * found.estimate:.1f}"
-    if interval and found.low < found.high:
-        text += f" [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+    share = sample_interval(successes(by_training), "mean")
+    text = f"{100 * share.estimate:.1f}"
+    if interval and share.low < share.high:
+        text += f" [{100 * share.low:.0f}, {100 * share.high:.0f}]"
     return text

@@ -66,11 +66,11 @@ def by_family(arguments: Arguments) -> Table:
     for family, keys in families.items():
         rows = episodes[episodes["environment"].isin(keys) & episodes["agent"].isin(agents)]
         bootstrap = Bootstrap.of(rows, "success")
-        found = {agent: bootstrap.estimate(agent, "mean") for agent in agents}
-        cells = {
-            agent: f"{100 * one.estimate:.1f} [{100 * one.low:.0f}, {100 * one.high:.0f}]"
-            for agent, one in found.items()
-        }
+        cells = {}
+        for agent in agents:
+            success = bootstrap.estimate(agent, "mean")
+            interval = f"[{100 * success.low:.0f}, {100 * success.high:.0f}]"
+            cells[agent] = f"{100 * success.estimate:.1f} {interval}"
         table.append({"family": f"{family} ({len(keys)})", **cells})
     return table_of(table, "success %, mean over the scenarios of a family")
 
@@ -94,9 +94,11 @@ def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) ->
     return bootstrap.difference(*pair, measure.statistic)
 
 
-def judge(found: Estimate, measure: Measure) -> str:
+def judge(estimate: Estimate, measure: Measure) -> str:
     """Return "better", "worse" or "unclear" for a difference, by its interval."""
-    low, high = (found.low, found.high) if measure.best == "high" else (-found.high, -found.low)
+    low, high = estimate.low, estimate.high
+    if measure.best != "high":
+        low, high = -high, -low
     hidden = 0.5 * 10.0**-measure.decimals
     if max(-low, high) <= hidden:
         return "unclear"
@@ -106,17 +108,17 @@ def judge(found: Estimate, measure: Measure) -> str:
 def against_each(agent: str, episodes: pd.DataFrame) -> Table:
     """Return the table of scenarios in which an agent is better, not clearly different, worse."""
     measures = [
-        one
-        for one in MEASURES.values()
-        if one.shown and one.best != "neither" and one.name in episodes
+        measure
+        for measure in MEASURES.values()
+        if measure.shown and measure.best != "neither" and measure.name in episodes
     ]
     by_scenario = [rows for _, rows in episodes.groupby("environment", sort=False)]
     table = []
     for rival in rivals_of(agent, episodes):
         row = {"": rival}
         for measure in measures:
-            found = [difference(rows, measure, (agent, rival)) for rows in by_scenario]
-            counts = Counter(judge(one, measure) for one in found if one is not None)
+            differences = [difference(rows, measure, (agent, rival)) for rows in by_scenario]
+            counts = Counter(judge(gap, measure) for gap in differences if gap is not None)
             row[measure.label] = f"{counts['better']} {counts['unclear']} {counts['worse']}"
         table.append(row)
     title = f"{agent} is clearly better, not clearly different, clearly worse than …"
@@ -132,9 +134,9 @@ def behind(agent: str, episodes: pd.DataFrame) -> Table:
         if agent not in means or not rivals:
             continue
         best = max(rivals, key=lambda rival: means[rival])
-        found = difference(rows, MEASURES["success"], (agent, best))
-        if found is not None and found.estimate < -BEHIND - 1e-9:
-            estimate, low, high = (100 * one for one in (found.estimate, found.low, found.high))
+        gap = difference(rows, MEASURES["success"], (agent, best))
+        if gap is not None and gap.estimate < -BEHIND - 1e-9:
+            estimate, low, high = (100 * value for value in (gap.estimate, gap.low, gap.high))
             row = {
                 "scenario": str(environment),
                 agent: f"{100 * means[agent]:.1f}",

@@ -117,16 +117,16 @@ def times_to(arguments: Arguments, seed: int) -> tuple[dict[float, Snapshot | No
     """Train; return the first snapshot to reach each share, and the steps per processor second."""
     model, clock = make_model(arguments, seed), Clock()
     model.learn(arguments.steps, callback=clock)
-    found: dict[float, Snapshot | None] = dict.fromkeys(SHARES)
+    first_snapshots: dict[float, Snapshot | None] = dict.fromkeys(SHARES)
     for snapshot in clock.snapshots:
         reached = share_reached(model, snapshot.weights, arguments.targets)
         for share in SHARES:
-            if reached >= share and found[share] is None:
-                found[share] = snapshot
-        if all(found.values()):
+            if reached >= share and first_snapshots[share] is None:
+                first_snapshots[share] = snapshot
+        if all(first_snapshots.values()):
             break
     last = clock.snapshots[-1]
-    return found, last.steps / last.processor
+    return first_snapshots, last.steps / last.processor
 
 
 def main(arguments: Arguments) -> None:
@@ -140,8 +140,8 @@ def main(arguments: Arguments) -> None:
     times: dict[float, list[tuple[float, float]]] = {share: [] for share in SHARES}
     make_model(arguments, 0).learn(arguments.arms)  # compile first
     for seed in range(arguments.seeds):
-        found, speed = times_to(arguments, seed)
-        for share, snapshot in found.items():
+        first_snapshots, speed = times_to(arguments, seed)
+        for share, snapshot in first_snapshots.items():
             wall, processor = np.inf, np.inf
             steps = "never"
             if snapshot is not None:

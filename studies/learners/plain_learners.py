@@ -91,15 +91,15 @@ class Training:
             nonlocal begun
             if learner.num_timesteps >= left[0]:
                 paused = self._now()
-                found: dict[str, Any] = {"learner": self.learner, "seed": self.seed}
-                found |= {"steps": left.pop(0), **self.evaluate(learner)}
-                found |= dict(zip(("seconds", "cpu_seconds"), np.round(paused - begun, 1)))
-                rows[found["steps"]] = found
+                row: dict[str, Any] = {"learner": self.learner, "seed": self.seed}
+                row |= {"steps": left.pop(0), **self.evaluate(learner)}
+                row |= dict(zip(("seconds", "cpu_seconds"), np.round(paused - begun, 1)))
+                rows[row["steps"]] = row
                 table = pd.DataFrame([rows[steps] for steps in sorted(rows)])
                 self.file.parent.mkdir(parents=True, exist_ok=True)
                 table.to_csv(self.file, index=False, lineterminator="\n")
                 line = "{learner}-{seed}: success {success:.3f} after {steps:,} steps, {seconds} s"
-                print(line.format_map(found), flush=True)
+                print(line.format_map(row), flush=True)
                 begun += self._now() - paused
             return bool(left)
 
@@ -121,8 +121,8 @@ class Training:
             seeds = range(EVALUATION_SEED, EVALUATION_SEED + EPISODES)
             episodes = run_episodes(learner, env, seeds, records_effort=False)
         return {
-            "success": float(np.mean([success(one) for one in episodes])),
-            "final_distance": float(np.median([final_distance(one) for one in episodes])),
+            "success": float(np.mean([success(episode) for episode in episodes])),
+            "final_distance": float(np.median([final_distance(episode) for episode in episodes])),
         }
 
     @staticmethod
@@ -133,13 +133,13 @@ class Training:
 def trainings(arguments: Arguments) -> list[Training]:
     """Return the trainings that are not finished, seed by seed."""
     marks = tuple(sorted(mark for mark in set(arguments.at) if mark <= arguments.steps))
-    found = []
+    unfinished = []
     for seed, learner in product(arguments.seeds, arguments.learners):
         file = arguments.out / f"{learner}-{seed}.csv"
-        one = Training(learner, seed, marks, file)
-        if not one.rows().keys() >= set(marks):
-            found.append(one)
-    return found
+        training = Training(learner, seed, marks, file)
+        if not training.rows().keys() >= set(marks):
+            unfinished.append(training)
+    return unfinished
 
 
 def read_results(folder: Path) -> pd.DataFrame:

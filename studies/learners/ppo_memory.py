@@ -90,7 +90,7 @@ def episodes_of(
         action = student(seen[-1])
         memory = history.extended(now, action, memory)
         observation, _, _, _, info = env.step(action)
-    angles, speeds, hands, now = (np.array(one) for one in zip(*true, strict=True))
+    angles, speeds, hands, now = (np.array(column) for column in zip(*true, strict=True))
     later = np.concatenate((now[AHEAD:], now[-1:].repeat(AHEAD, axis=0)))
     target = np.where(np.abs(later - now).max(axis=-1, keepdims=True) < JUMP, later, now)
     shown = setup.layout.encode(angles, speeds, hand=hands, target=target)
@@ -107,10 +107,11 @@ def teach(
     """Return a student of a teacher with this card, after rounds of an episode of all arms."""
     torch.manual_seed(card.seed)
     options = card.context[0]["one_of"]
-    changes = [one and parse_change(one) for one in options]
-    families = [one.family.name if one and one.family else "" for one in changes]
-    mixture = {"one_of": options, "weights": [OFTEN.get(one, 1.0) for one in families]}
-    is_shown = np.tile([one not in SENSES for one in families if one], 2)  # option and strength
+    changes = [option and parse_change(option) for option in options]
+    families = [change.family.name if change and change.family else "" for change in changes]
+    mixture = {"one_of": options, "weights": [OFTEN.get(family, 1.0) for family in families]}
+    # The context has these columns twice: for options, then for their strengths.
+    is_shown = np.tile([family not in SENSES for family in families if family], 2)
     arguments: Any = {"engine": "analytic", "perturbations": [mixture], "observe_context": True}
     envs = [gym.make_vec(name, count, **arguments).unwrapped for name, count in TASKS.items()]
     for env in envs:
@@ -134,15 +135,15 @@ def teach(
         seen, true = zip(*(episodes_of(env, history, act) for env in envs), strict=True)
         shown = np.concatenate(true, axis=1).reshape(-1, true[0].shape[-1])
         shown[:, layout.size :] *= is_shown
-        right = torch.from_numpy(actions_of(teacher, shown))
+        teacher_actions = torch.from_numpy(actions_of(teacher, shown))
         inputs = torch.from_numpy(np.concatenate(seen, axis=1).reshape(len(shown), -1))
         for _ in range(EPOCHS):
             for batch in torch.split(torch.randperm(len(shown)), BATCH):
-                wanted, actions = right[batch], student(inputs[batch])
-                # Actions are clipped to ±1, so one beyond a wanted bound is not wrong.
-                beyond = (wanted * actions >= 1.0) & (wanted.abs() >= 1.0)
-                errors = torch.where(beyond, 0.0, actions - wanted).square()
-                loss = (errors / (CALM + wanted.square().mean(dim=-1, keepdim=True))).mean()
+                targets, actions = teacher_actions[batch], student(inputs[batch])
+                # Actions are clipped to ±1, so one beyond a target at a bound is not wrong.
+                beyond = (targets * actions >= 1.0) & (targets.abs() >= 1.0)
+                errors = torch.where(beyond, 0.0, actions - targets).square()
+                loss = (errors / (CALM + targets.square().mean(dim=-1, keepdim=True))).mean()
                 optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 optimizer.step()
@@ -163,8 +164,8 @@ def main(teacher: Path = TEACHER, rounds: int = 66, out: Path = Path("runs/ppo-m
     torch.set_num_threads(1)
     policy, of_teacher = load_policy(teacher)
     options = of_teacher.context[0]["one_of"]
-    own = {"observe_context": False, "perturbations": [{"one_of": options}]}  # equal chances
-    env_kwargs = {**of_teacher.hyperparameters["env_kwargs"], **own}
+    of_student = {"observe_context": False, "perturbations": [{"one_of": options}]}  # equal chances
+    env_kwargs = {**of_teacher.hyperparameters["env_kwargs"], **of_student}
     settings = {"teacher": of_teacher.file_stem, "arms": TASKS, "often": OFTEN, "rounds": rounds}
     card = replace(
         of_teacher,
@@ -187,7 +188,7 @@ def main(teacher: Path = TEACHER, rounds: int = 66, out: Path = Path("runs/ppo-m
         card = replace(
             card,
             training_steps=steps,
-            **{f"training_{name}": one for name, one in passed.items()},
+            **{f"training_{name}": seconds for name, seconds in passed.items()},
             learning_curve=[*card.learning_curve, {"steps": steps, **passed, **scores}],
         )
         print(f"{steps:>12,} steps  success {scores['success']:6.1%}", flush=True)

@@ -85,13 +85,13 @@ QUANTITIES = (
 def numbers(card: PolicyCard) -> dict[str, float]:
     """Return the `QUANTITIES` of a training by name; infinite if a level is never reached."""
     scores = ("success", "final_distance", "time_to_target")
-    found = {name: card.scores.get(name, math.nan) for name in scores}
+    quantities = {name: card.scores.get(name, math.nan) for name in scores}
     for percent, level in LEVELS.items():
-        found[f"steps_to_{percent}"] = first_reached(card, level, "steps") / 1_000
-        found[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
-    found["training_steps"] = card.training_steps / 1_000
-    found["training_minutes"] = card.training_cpu_seconds / 60
-    return found
+        quantities[f"steps_to_{percent}"] = first_reached(card, level, "steps") / 1_000
+        quantities[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
+    quantities["training_steps"] = card.training_steps / 1_000
+    quantities["training_minutes"] = card.training_cpu_seconds / 60
+    return quantities
 
 
 def first_reached(card: PolicyCard, level: float, column: str) -> float:
@@ -151,7 +151,7 @@ def cells(rows: pd.DataFrame, summary: pd.DataFrame) -> list[dict[str, str]]:
     """Return the table: a row for each quantity, a column for each name."""
     agents = rows.groupby("agent", sort=False)
     first = agents.first()
-    found = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
+    statistics = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
     table = [
         {"": "environment\ncontrol", **(first["environment"] + "\n" + first["control"])},
         {"": "training seeds", **agents.size().astype(str)},
@@ -159,7 +159,7 @@ def cells(rows: pd.DataFrame, summary: pd.DataFrame) -> list[dict[str, str]]:
     for quantity in QUANTITIES:
         row = {"": f"{quantity.label}\n({quantity.unit})"}
         for agent in first.index:
-            row[agent] = cell(found[agent, quantity.name], quantity.decimals)
+            row[agent] = cell(statistics[agent, quantity.name], quantity.decimals)
         table.append(row)
     return table
 

@@ -121,16 +121,16 @@ def _suggest_learning(in_use: Constants, falls: bool, trial: BaseTrial) -> Const
     """Suggest hyperparameters, from a space that includes those in use."""
 
     def around(name: str, low: float, high: float) -> float:
-        own = in_use[name]
-        return trial.suggest_float(name, min(low, own), max(high, own), log=True)
+        present = in_use[name]
+        return trial.suggest_float(name, min(low, present), max(high, present), log=True)
 
     def among(name: str, *choices: Any) -> Any:
-        own = in_use[name]
-        return trial.suggest_categorical(name, choices if own in choices else (*choices, own))
+        present = in_use[name]
+        accepted = choices if present in choices else (*choices, present)
+        return trial.suggest_categorical(name, accepted)
 
-    own = in_use["learning_rate"]
     rate = around("learning_rate", 3e-4, 3e-3)
-    rate = rate if rate == own else float(f"{rate:.2g}")
+    rate = rate if rate == in_use["learning_rate"] else float(f"{rate:.2g}")
     constants: Constants = {"learning_rate": f"lin_{rate}" if falls else rate}
     if "n_epochs" in in_use:  # PPO
         epochs = in_use["n_epochs"]

@@ -57,7 +57,7 @@ def tasks(count: int) -> dict[str, tuple[Pair, ...]]:
     """Return the clamped vectors of each task, as pairs of nodes."""
     hand = (0, count)
     return {
-        "forward": tuple((one, one + 1) for one in range(count)),
+        "forward": tuple((node, node + 1) for node in range(count)),
         "inverse": (hand,),
         "elbow": ((0, count // 2), hand),
         "tray": ((count - 1, count), hand),
@@ -78,8 +78,8 @@ def errors(count: int, arguments: Arguments) -> dict[str, Floats]:
     vector and the sum of its segments.
     """
     random, network = np.random.default_rng(arguments.seed), network_of(count, arguments)
-    starts, wanted = random.uniform(-np.pi / 2, np.pi / 2, (2, arguments.arms, count))
-    goal = segments_from_joint_angles(wanted, network.segment_lengths)
+    starts, goal_angles = random.uniform(-np.pi / 2, np.pi / 2, (2, arguments.arms, count))
+    goal = segments_from_joint_angles(goal_angles, network.segment_lengths)
     state, missed = network.state_from_joint_angles(starts), {}
     for task, pairs in tasks(count).items():
         held = {(i, j): goal[:, i:j].sum(axis=1) for i, j in pairs}
@@ -118,7 +118,7 @@ def fused(count: int, direction_noise: float, hand_noise: float, arguments: Argu
     start, held = network.state_from_segments(_pairs(segments)), network.inverse(_pairs(seen))
     after = embodied_run(network, start, held, body, arguments.iterations)
     estimates = (_pairs(felt), _pairs(seen), _pairs(felt) + pull, after.end_effector)
-    squares = [((one - _pairs(hand)) ** 2).sum(axis=-1).mean() for one in estimates]
+    squares = [((estimate - _pairs(hand)) ** 2).sum(axis=-1).mean() for estimate in estimates]
     return np.sqrt(np.array(squares))
 
 
@@ -129,9 +129,10 @@ def _pairs(points: np.ndarray) -> Floats:
 def main(arguments: Arguments) -> None:
     title = f"median error after {arguments.iterations} iterations, and share within 0.05"
     of_tasks = Table("task", *(f"N = {count}" for count in arguments.segments), title=title)
-    found = [errors(count, arguments) for count in arguments.segments]
-    for task in found[0]:
-        cells = [f"{np.median(one[task]):.4f} {np.mean(one[task] <= 0.05):4.0%}" for one in found]
+    by_count = [errors(count, arguments) for count in arguments.segments]
+    for task in by_count[0]:
+        of_arms = [missed[task] for missed in by_count]
+        cells = [f"{np.median(error):.4f} {np.mean(error <= 0.05):4.0%}" for error in of_arms]
         of_tasks.add_row(task, *cells)
     headings = ("N", "σ_θ", "σ_x", "posture alone", "sight alone", "best linear", "network")
     of_senses = Table(*headings, title="root mean square error of the hand")

@@ -344,8 +344,8 @@ def _errors(output: Floats, projections: list[Array]) -> Array:
     """Return the errors e of all vectors, (2 n,)."""
     across, along = projections
     # u · (f − u) = u · f − 1, and the weight of u is the length of the projection itself.
-    wanted = np.linalg.norm(along, axis=1)
-    errors: Array = np.concatenate([(across * output).sum(1), (along * output).sum(1) - wanted])
+    ideal = np.linalg.norm(along, axis=1)
+    errors: Array = np.concatenate([(across * output).sum(1), (along * output).sum(1) - ideal])
     return errors
 
 
@@ -372,9 +372,9 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
     Returns:
         Absolute angles in radians between input and output, shape (n, directions).
     """
-    wanted = _directions(directions)
-    output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * wanted)
-    x, y = wanted.T
+    units = _directions(directions)
+    output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * units)
+    x, y = units.T
     across = x * output[..., 1] - y * output[..., 0]
     along = x * output[..., 0] + y * output[..., 1]
     errors: Floats = np.abs(np.arctan2(across, along))
@@ -389,9 +389,9 @@ def mean_squared_error(normalizer: Normalizer, directions: int = 3600) -> float:
             paper's ]0, 2].
         directions: number of directions, spread evenly over the circle.
     """
-    wanted = _directions(directions)
+    units = _directions(directions)
     lengths = np.arange(0.001, 2.0, 0.002)
-    return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))
+    return float(np.mean((normalizer(lengths[:, None, None] * units) - units) ** 2))
 
 
 def _directions(count: int) -> Floats:

@@ -42,7 +42,9 @@ def main(arguments: Arguments) -> None:
         table.add_column(heading, justify="right")
     train_normalizers((2,), replace(PAPER, epochs=1))  # the first use of torch is slow
     sums = [0.0, 0.0]
-    for units in (one for one in ARCHITECTURES if max(one) <= arguments.widest):
+    for units in ARCHITECTURES:
+        if max(units) > arguments.widest:
+            continue
         together = seconds(units, RUNS, arguments.epochs)
         alone = RUNS * seconds(units, 1, arguments.epochs)
         sums = [sums[0] + together, sums[1] + alone]

@@ -136,21 +136,21 @@ def within_reach(body: dict[str, Any], env: Any, seeds: range) -> float:
 
 def main(arguments: Arguments) -> None:
     """Play, and print the table."""
-    every = {**BODIES, **UNTUNED}
+    all_bodies = {**BODIES, **UNTUNED}
     seeds = range(1000 * arguments.seed, 1000 * arguments.seed + arguments.episodes)
     file = arguments.out / f"{arguments.episodes}-{arguments.seed}.csv"
     rows = pd.read_csv(file).to_dict("records") if file.exists() else []
     for body in arguments.bodies:
-        with closing(Encoders(make_env(**every[body]))) as env:
+        with closing(Encoders(make_env(**all_bodies[body]))) as env:
             for agent in ("within reach", *arguments.agents) if arguments.agents else ():
                 if any(row["body"] == body and row["agent"] == agent for row in rows):
                     continue
                 if agent == "within reach":
-                    found = within_reach(every[body], env, seeds), 0.0, 0.0
+                    scores = within_reach(all_bodies[body], env, seeds), 0.0, 0.0
                 else:
-                    found = play(make(agent, env, arguments.tqc), env, seeds)
+                    scores = play(make(agent, env, arguments.tqc), env, seeds)
                 names = ("success", "return", "half")
-                rows.append({"body": body, "agent": agent, **dict(zip(names, found))})
+                rows.append({"body": body, "agent": agent, **dict(zip(names, scores))})
                 print(rows[-1], flush=True)
                 arguments.out.mkdir(parents=True, exist_ok=True)
                 pd.DataFrame(rows).to_csv(file, index=False, lineterminator="\n")
@@ -158,7 +158,7 @@ def main(arguments: Arguments) -> None:
     cells = [
         {"body": body, "within reach": f"{100 * known[body, 'within reach']['success']:.1f}"}
         | {agent: cell(known.get((body, agent))) for agent in AGENTS}
-        for body in every
+        for body in all_bodies
         if (body, "within reach") in known
     ]
     Console(width=170).print(table_of(cells, "success in per cent, return"))

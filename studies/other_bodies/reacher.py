@@ -147,15 +147,15 @@ class ClosedForm(JointTargetAgent[Floats]):
         bearing = np.arctan2(target[..., 1], target[..., 0])
         offset = np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
         ways = (bearing - offset, elbow), (bearing + offset, -elbow)
-        found = np.stack([np.stack(way, axis=-1) for way in ways], axis=-2)
+        solutions = np.stack([np.stack(way, axis=-1) for way in ways], axis=-2)
         low, high = np.transpose(self.interface.joint_limits)
-        within = (low + high) / 2 + wrap_angle(found - (low + high) / 2)
+        within = (low + high) / 2 + wrap_angle(solutions - (low + high) / 2)
         allowed = np.clip(within, low, high)
         changes = allowed - leave_line(state, target, lengths)[..., None, :]
         beyond = np.abs(within - allowed).max(axis=-1) > 1e-9
         nearest = ((changes**2).sum(axis=-1) + 1e3 * beyond).argmin(axis=-1)
-        chosen = np.take_along_axis(allowed, nearest[..., None, None], axis=-2)[..., 0, :]
-        return chosen, chosen
+        joint_targets = np.take_along_axis(allowed, nearest[..., None, None], axis=-2)[..., 0, :]
+        return joint_targets, joint_targets
 
 
 class Late(gym.ObservationWrapper[Any, Any, Any]):
@@ -192,8 +192,8 @@ def make(name: str, env: Any, sac: Path) -> Any:
     if name.startswith("sac"):
         return Actor(sac / f"sac_{name[4:].replace('k', '000')}.safetensors")
     if name == "ik, pd":
-        given = {one.name: getattr(INTERFACE, one.name) for one in fields(INTERFACE)}
-        return ClosedForm(TwoConstants(**given))
+        settings = {field.name: getattr(INTERFACE, field.name) for field in fields(INTERFACE)}
+        return ClosedForm(TwoConstants(**settings))
     return ClosedForm(INTERFACE) if name == "ik" else make_agent(name, env, interface=INTERFACE)
 
 
@@ -202,7 +202,8 @@ def play(agent: Any, envs: list[Any], seeds: list[int]) -> pd.DataFrame:
     seen = np.stack([env.reset(seed=seed)[0] for env, seed in zip(envs, seeds, strict=True)])
     start, target = np.arctan2(seen[:, 2:4], seen[:, :2]), seen[:, 4:6]
     if agent is None:
-        plans = np.stack([optimal_torques(*one) for one in zip(start, seen[:, 6:8], target)])
+        tasks = zip(start, seen[:, 6:8], target)
+        plans = np.stack([optimal_torques(*task) for task in tasks])
     returns, state = np.zeros(len(envs)), None
     for number in range(STEPS):
         if agent is None:
@@ -210,8 +211,8 @@ def play(agent: Any, envs: list[Any], seeds: list[int]) -> pd.DataFrame:
         else:
             actions, state = agent.predict(seen, state, deterministic=True)
         steps = [env.step(action) for env, action in zip(envs, actions, strict=True)]
-        seen = np.stack([one[0] for one in steps])
-        returns += [one[1] for one in steps]
+        seen = np.stack([observation for observation, *_ in steps])
+        returns += [reward for _, reward, *_ in steps]
     hands = np.array([env.unwrapped.get_body_com("fingertip")[:2] for env in envs])
     columns = {"return": returns, "distance": np.linalg.norm(hands - target, axis=-1)}
     columns |= dict(zip(("start_1", "start_2"), start.T))
@@ -241,7 +242,7 @@ def optimal_torques(start: Floats, speeds: Floats, target: Floats) -> Floats:
         total = distance.sum() + (torques**2).sum() + 200 * (beyond**2).sum()
         return float(total), (effect.T @ pull + 2 * torques).ravel()
 
-    found = []
+    solutions = []
     upper, lower = LENGTHS
     cosine = (target @ target - upper**2 - lower**2) / (2 * upper * lower)
     bend = np.arccos(np.clip(cosine, np.cos(ELBOW - 0.02), 1))
@@ -256,10 +257,10 @@ def optimal_torques(start: Floats, speeds: Floats, target: Floats) -> Floats:
             if np.abs(goal[0] - start[0]) < 4:
                 options = {"maxiter": 800}
                 bounds = [(-1, 1)] * (2 * STEPS)
-                found.append(
+                solutions.append(
                     minimize(cost, first.ravel(), jac=True, bounds=bounds, options=options)
                 )
-    return min(found, key=lambda one: one.fun).x.reshape(STEPS, 2).astype(np.float32)
+    return min(solutions, key=lambda solution: solution.fun).x.reshape(STEPS, 2).astype(np.float32)
 
 
 def main(arguments: Arguments) -> None:
@@ -275,27 +276,27 @@ def main(arguments: Arguments) -> None:
             asked = name in arguments.agents and body in arguments.bodies
             if asked and not file.exists() and (name != "optimum" or true == TrueBody()):
                 envs = envs or [Late(true.make(arguments.out), arguments.late) for _ in seeds]
-                played = play(make(name, envs[0], arguments.sac), envs, seeds)
-                played.to_csv(file, index=False, lineterminator="\n")
+                episodes = play(make(name, envs[0], arguments.sac), envs, seeds)
+                episodes.to_csv(file, index=False, lineterminator="\n")
             if file.exists():
                 cells[body][name] = cell(pd.read_csv(file), true)
         for env in envs:
             env.close()
-    played_by = [name for name in AGENTS if any(name in row for row in cells.values())]
-    rows = [{"body": "", **dict.fromkeys(played_by, ""), **row} for row in cells.values()]
+    players = [name for name in AGENTS if any(name in row for row in cells.values())]
+    rows = [{"body": "", **dict.fromkeys(players, ""), **row} for row in cells.values()]
     title = f"{arguments.episodes} episodes of seed {arguments.seed}: success in per cent, return"
     Console(width=170).print(table_of(rows, title))
 
 
-def cell(played: pd.DataFrame, true: TrueBody) -> str:
+def cell(episodes: pd.DataFrame, true: TrueBody) -> str:
     """Return success in per cent, and mean return with its 95 % interval."""
     starts, targets = (
-        played[list(names)].to_numpy()
+        episodes[list(names)].to_numpy()
         for names in (("start_1", "start_2"), ("target_x", "target_y"))
     )
-    missed = played["distance"].to_numpy() - true.nearest(starts, targets)
-    half = 1.96 * played["return"].std() / len(played) ** 0.5
-    return f"{100 * (missed <= NEAR).mean():.1f}, {played['return'].mean():.2f} ± {half:.2f}"
+    missed = episodes["distance"].to_numpy() - true.nearest(starts, targets)
+    half = 1.96 * episodes["return"].std() / len(episodes) ** 0.5
+    return f"{100 * (missed <= NEAR).mean():.1f}, {episodes['return'].mean():.2f} ± {half:.2f}"
 
 
 if __name__ == "__main__":

@@ -88,15 +88,15 @@ def trained_architectures(
     recipe, runs = (QUICK_RECIPE, QUICK_RUNS) if settings.quick else (PAPER, RUNS)
     recipe = replace(recipe, weight_decay=weight_decay)
     trainings = [_Training(tuple(units), recipe, runs, settings.seed) for units in architectures]
-    missing = [one for one in trainings if not one.file_in(settings.folder).exists()]
-    missing.sort(key=lambda one: sum(one.hidden_units), reverse=True)  # the longest first
+    missing = [training for training in trainings if not training.file_in(settings.folder).exists()]
+    missing.sort(key=lambda training: sum(training.hidden_units), reverse=True)  # the longest first
     executor = loky.get_reusable_executor(settings.jobs) if settings.jobs > 1 else None
     trained = (executor.map if executor else map)(_train, missing)
     for training, result in zip(missing, tracked(trained, "networks", len(missing)), strict=True):
         _write(result, training.file_in(settings.folder))
     return {
-        architecture_name(one.hidden_units): _read(one.file_in(settings.folder))
-        for one in trainings
+        architecture_name(training.hidden_units): _read(training.file_in(settings.folder))
+        for training in trainings
     }
 
 

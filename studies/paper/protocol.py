@@ -205,7 +205,10 @@ def all_normalizers(settings: ExperimentSettings) -> dict[str, tuple[Normalizer,
     return {
         EUCLIDEAN: (EuclideanNormalizer(),),
         ACCURATE: (LearnedNormalizer.shipped("accurate"),),
-        **{name: found.normalizers for name, found in trained_architectures(settings).items()},
+        **{
+            name: architecture.normalizers
+            for name, architecture in trained_architectures(settings).items()
+        },
     }
 
 
@@ -220,7 +223,7 @@ def summarize_networks(
         A row per network, normalizer and run: dynamics, decay (NaN for kinematic networks),
         schedule, normalizer, run, and the columns of `summarize`.
     """
-    runs = [(name, *run) for name, found in normalizers.items() for run in enumerate(found)]
+    runs = [(name, *run) for name, group in normalizers.items() for run in enumerate(group)]
     rows = []
     for network, (name, number, normalizer) in tracked(list(product(networks, runs)), "networks"):
         recording = record_movements(replace(network, normalizer=normalizer), iterations)

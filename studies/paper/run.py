@@ -154,8 +154,8 @@ def _parts(results: Mapping[Name, Result]) -> Iterator[_Part]:
         yield _Part(heading, _COLUMNS, [_cells(row) for row in result.rows], captions)
     rows = []
     for number, point in POINTS.items():
-        found = [one.points[number] for one in results.values() if number in one.points]
-        ours = "; ".join(found) or "not measured in this run"
+        findings = [result.points[number] for result in results.values() if number in result.points]
+        ours = "; ".join(findings) or "not measured in this run"
         rows.append((str(number), point.subject, point.paper, point.data, ours))
     yield _Part("Where the paper and its data part", _POINT_COLUMNS, rows, {})
 

@@ -117,8 +117,8 @@ def accurate(settings: ExperimentSettings) -> Result:
         for name, normalizer in tracked(list(normalizers.items()), "normalizers")
     }
     errors = {
-        f"{name}: {kind} [deg]": getattr(found, f"{kind}_error")
-        for name, found in measured.items()
+        f"{name}: {kind} [deg]": getattr(measures, f"{kind}_error")
+        for name, measures in measured.items()
         for kind in ("mean", "worst")
     }
     return Result(
@@ -133,7 +133,7 @@ def accurate(settings: ExperimentSettings) -> Result:
         },
         data={
             "angle_errors": pd.DataFrame({"length": LENGTHS, **errors}),
-            "distance": {name: found.distance for name, found in measured.items()},
+            "distance": {name: measures.distance for name, measures in measured.items()},
         },
     )
 
@@ -148,13 +148,13 @@ def _accurate_rows(measured: Mapping[str, Measured]) -> list[ResultRow]:
         (RECIPE, (angle_error, final_distance, 2.03, float(ending_far)), (note, note)),
         ("accurate", (None,) * 4, ("sought: at most 0.01", "sought: at most 1.02")),
     ):
-        found = measured[name]
-        final = found.distance[:, -1]
+        measures = measured[name]
+        final = measures.distance[:, -1]
         rows += [
             ResultRow(
                 f"{name}: mean angle error at lengths 0.9 to 1.1",
                 data=near,
-                ours=found.near_error,
+                ours=measures.near_error,
                 unit="°",
                 note=notes[0],
             ),
@@ -178,14 +178,14 @@ def _accurate_rows(measured: Mapping[str, Measured]) -> list[ResultRow]:
             ),
             ResultRow(
                 f"{name}: worst angle error at lengths in ]0, 3]",
-                ours=float(found.worst_error.max()),
+                ours=float(measures.worst_error.max()),
                 unit="°",
-                note=f"at length {LENGTHS[found.worst_error.argmax()]:.2g}; below 90° no output "
+                note=f"at length {LENGTHS[measures.worst_error.argmax()]:.2g}; below 90° no output "
                 "points the wrong way",
             ),
             ResultRow(
                 f"{name}: lengths of the outputs for lengths in ]0.05, 3]",
-                ours="{:.4f} to {:.4f}".format(*found.output_length),
+                ours="{:.4f} to {:.4f}".format(*measures.output_length),
                 note="exact: 1",
             ),
         ]
@@ -196,16 +196,16 @@ def _accurate_rows(measured: Mapping[str, Measured]) -> list[ResultRow]:
 def draw_errors_and_distances(measured: Mapping[str, Measured]) -> Figure:
     """Draw the errors of all but the exact normalizer, and the distances of all."""
     figure, (left, right) = make_panels(2, 7.2, 3.2)
-    for number, (name, found) in enumerate(measured.items()):
+    for number, (name, measures) in enumerate(measured.items()):
         style, width = look(number), 1.3
         if name == EUCLIDEAN:
             # A wide line below, so that both of two equal curves are visible.
             style, width = style | {"color": "0.75"}, 3.5
         else:
             colour, label = style["color"], f"{name}, worst"
-            left.plot(LENGTHS, found.worst_error, color=colour, linewidth=0.6, label=label)
-            left.plot(LENGTHS, found.mean_error, linewidth=1.5, label=f"{name}, mean", **style)
-        mean = found.distance.mean(axis=0)
+            left.plot(LENGTHS, measures.worst_error, color=colour, linewidth=0.6, label=label)
+            left.plot(LENGTHS, measures.mean_error, linewidth=1.5, label=f"{name}, mean", **style)
+        mean = measures.distance.mean(axis=0)
         right.plot(np.arange(1, len(mean) + 1), mean, linewidth=width, label=name, **style)
     left.set(yscale="log", xlim=(0, 3), xlabel="length of input [segment lengths]")
     left.set_ylabel("angle error [°]")
@@ -283,7 +283,7 @@ def bell_shaped(settings: ExperimentSettings) -> Result:
         (name, iterations): makers[name](iterations)
         for name, iterations in tracked(list(product(makers, ITERATIONS)), "movements")
     }
-    found = {key: shapes(recording) for key, recording in recordings.items()}
+    movement_shapes = {key: shapes(recording) for key, recording in recordings.items()}
     shown = {name: recordings[name, ITERATIONS[0]] for name in _SHOWN}
     distances = {name: recording.distance for name, recording in shown.items()}
     velocities = {name: recording.velocity for name, recording in shown.items()}
@@ -292,9 +292,11 @@ def bell_shaped(settings: ExperimentSettings) -> Result:
         for movement in (PAIRS.tolist().index(pair) for pair in _EXAMPLES)
     }
     labels = [_label(movement) for movement in range(len(PAIRS))]
-    correlations = {name: found[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]}
+    correlations = {
+        name: movement_shapes[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]
+    }
     return Result(
-        rows=[row for name in makers for row in _shape_rows(name, found)],
+        rows=[row for name in makers for row in _shape_rows(name, movement_shapes)],
         figures={
             "bell_shape": Captioned(
                 draw_courses({DISTANCE: distances, VELOCITY: velocities}),
@@ -317,7 +319,7 @@ def bell_shaped(settings: ExperimentSettings) -> Result:
                     pd.DataFrame(
                         {"name": name, "iterations": iterations, "movement": labels, **columns}
                     )
-                    for (name, iterations), columns in found.items()
+                    for (name, iterations), columns in movement_shapes.items()
                 ]
             )
         },
@@ -331,11 +333,11 @@ def _label(movement: int | np.intp) -> str:
 
 
 def _shape_rows(
-    name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]
+    name: str, movement_shapes: Mapping[tuple[str, int], Mapping[str, Floats]]
 ) -> list[ResultRow]:
     """Return a row per measure, with 40 and 100 iterations side by side."""
-    both = [found[name, iterations] for iterations in ITERATIONS]
-    classical = [found[CLASSICAL, iterations]["final"] for iterations in ITERATIONS]
+    both = [movement_shapes[name, iterations] for iterations in ITERATIONS]
+    classical = [movement_shapes[CLASSICAL, iterations]["final"] for iterations in ITERATIONS]
 
     def row(quantity: str, values: Sequence[str], unit: str = "", note: str = "") -> ResultRow:
         ours = "; ".join(f"{k}: {value}" for k, value in zip(ITERATIONS, values, strict=True))
@@ -343,8 +345,8 @@ def _shape_rows(
 
     def spread(quantity: str, column: str, digits: str, aim: str, unit: str = "") -> ResultRow:
         texts = []
-        for one in both:
-            low, median, high = np.nanpercentile(one[column], (5, 50, 95))
+        for shape in both:
+            low, median, high = np.nanpercentile(shape[column], (5, 50, 95))
             texts.append(f"{median:{digits}} ({low:{digits}} to {high:{digits}})")
         return row(f"{quantity}, median (5 % to 95 %)", texts, unit, f"aim: {aim}")
 
@@ -354,27 +356,27 @@ def _shape_rows(
         spread("time to peak", "time_to_peak", ".2f", "0.45 to 0.55", "of duration"),
         row(
             "movements with a single velocity peak",
-            [f"{100 * (one['velocity_peaks'] == 1).mean():.1f}" for one in both],
+            [f"{100 * (shape['velocity_peaks'] == 1).mean():.1f}" for shape in both],
             unit="%",
             note="aim: 95 or more",
         ),
         row(
             "movements that overshoot",
-            [f"{(one['overshoot'] > OVERSHOOT).sum()}" for one in both],
+            [f"{(shape['overshoot'] > OVERSHOOT).sum()}" for shape in both],
             unit="of 420",
             note="aim: 0",
         ),
         row(
             "final distance, mean ± sd",
-            [mean_and_deviation(one["final"]) for one in both],
+            [mean_and_deviation(shape["final"]) for shape in both],
             unit="of start to target",
             note="aim: no more than " + " and ".join(f"{final.mean():.4f}" for final in classical),
         ),
         row(
             f"movements that end above {FAR}; farther than by the {CLASSICAL} network",
             [
-                f"{(one['final'] > FAR).sum()}; {(one['final'] > final).sum()}"
-                for one, final in zip(both, classical, strict=True)
+                f"{(shape['final'] > FAR).sum()}; {(shape['final'] > final).sum()}"
+                for shape, final in zip(both, classical, strict=True)
             ],
             unit="of 420",
         ),
@@ -383,7 +385,10 @@ def _shape_rows(
         rows.append(
             row(
                 "which have more velocity peaks (radius and angle)",
-                ["; ".join(map(_label, np.flatnonzero(one["velocity_peaks"] > 1))) for one in both],
+                [
+                    "; ".join(map(_label, np.flatnonzero(shape["velocity_peaks"] > 1)))
+                    for shape in both
+                ],
                 note="the arm folds or turns over, at the largest gain, and then rushes",
             )
         )

@@ -41,7 +41,7 @@ from studies.paper.protocol import ACCURATE, EUCLIDEAN
 ARMS = 1000
 ITERATIONS = 500
 
-_Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
+_Errors: TypeAlias = Mapping[tuple[str, str, str], Floats]
 """Errors by network, normalizer and task, (iterations, arms)."""
 
 _R: Pair = (0, 3)
@@ -78,8 +78,8 @@ def random_tasks(
 ) -> tuple[MMCState, dict[Pair, NDArray[np.float64]]]:
     """Return arms in random postures, and by node pair the vectors of other random postures."""
     angles = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, arms, 3))
-    wanted = network.state_from_joint_angles(angles[1]).segments
-    vectors = np.asarray(chain_vectors(wanted), dtype=np.float64)
+    goal = network.state_from_joint_angles(angles[1]).segments
+    vectors = np.asarray(chain_vectors(goal), dtype=np.float64)
     return network.state_from_joint_angles(angles[0]), {
         pair: vectors[:, row] for row, pair in enumerate(vector_pairs(3))
     }
@@ -88,15 +88,15 @@ def random_tasks(
 def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int) -> Floats:
     """Return the error after every iteration, segment lengths, (iterations, arms)."""
     diagonal = vector_pairs(3).index((0, 2))
-    found = np.empty((iterations, *state.batch_shape))
+    error = np.empty((iterations, *state.batch_shape))
     for iteration in range(iterations):
         state = network.step(state, clamps)
         vectors, segments = state.vectors, state.segments
-        found[iteration] = np.linalg.norm(vectors[..., -1, :] - state.end_effector, axis=-1)
+        error[iteration] = np.linalg.norm(vectors[..., -1, :] - state.end_effector, axis=-1)
         if diagonal in clamps.rows:
             elbow = segments[..., :2, :].sum(axis=-2)
-            found[iteration] += np.linalg.norm(vectors[..., diagonal, :] - elbow, axis=-1)
-    return found
+            error[iteration] += np.linalg.norm(vectors[..., diagonal, :] - elbow, axis=-1)
+    return error
 
 
 def run(settings: ExperimentSettings) -> Result:
@@ -107,18 +107,18 @@ def run(settings: ExperimentSettings) -> Result:
         ACCURATE: LearnedNormalizer.shipped("accurate"),
         "paper's recipe [16, 16]": LearnedNormalizer.shipped("paper"),
     }
-    found: dict[tuple[str, str, str], Floats] = {}
+    task_errors: dict[tuple[str, str, str], Floats] = {}
     for name, normalizer, task in tracked(list(product(NETWORKS, normalizers, TASKS)), "tasks"):
         network = replace(NETWORKS[name], normalizer=normalizers[normalizer])
         state, vectors = random_tasks(network, arms, settings.seed)
         clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
-        found[name, normalizer, task] = errors(network, state, clamps, ITERATIONS)
-    courses = {key: error.mean(axis=1) for key, error in found.items()}
+        task_errors[name, normalizer, task] = errors(network, state, clamps, ITERATIONS)
+    courses = {key: error.mean(axis=1) for key, error in task_errors.items()}
     panels = {
         name: {task: courses["kinematic", name, task] for task in TASKS} for name in normalizers
     }
     return Result(
-        rows=[*_forward_rows(found), *_mixed_rows(found)],
+        rows=[*_forward_rows(task_errors), *_mixed_rows(task_errors)],
         figures={
             "forward_and_mixed": Captioned(
                 draw_errors(panels, factor(NETWORKS["kinematic"].damping)),
@@ -154,14 +154,14 @@ def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Fig
     return figure
 
 
-def _forward_rows(found: _Found) -> list[ResultRow]:
+def _forward_rows(task_errors: _Errors) -> list[ResultRow]:
     task = next(iter(TASKS))
     rows = []
     for name, network in NETWORKS.items():
-        course = found[name, EUCLIDEAN, task]
+        course = task_errors[name, EUCLIDEAN, task]
         same = max(
             float(np.abs(others - course).max())
-            for (mover, _, which), others in found.items()
+            for (mover, _, which), others in task_errors.items()
             if mover == name and which == task
         )
         measured = (course[99].mean() / course[49].mean()) ** (1 / 50)
@@ -182,7 +182,7 @@ def _forward_rows(found: _Found) -> list[ResultRow]:
     return rows
 
 
-def _mixed_rows(found: _Found) -> list[ResultRow]:
+def _mixed_rows(task_errors: _Errors) -> list[ResultRow]:
     return [
         ResultRow(
             f"{task}, {network} network, {normalizer}: mean error after "
@@ -192,6 +192,6 @@ def _mixed_rows(found: _Found) -> list[ResultRow]:
             + f"; {100 * (course[-1] < 0.05).mean():.1f} %",
             unit="segment lengths",
         )
-        for (network, normalizer, task), course in found.items()
+        for (network, normalizer, task), course in task_errors.items()
         if not task.startswith("forward") and network != "kinematic, delayed"  # as kinematic
     ]

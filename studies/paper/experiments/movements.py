@@ -172,13 +172,13 @@ def _kinematic_rows(table: pd.DataFrame) -> list[ResultRow]:
 def _course_rows(table: pd.DataFrame) -> list[ResultRow]:
     rows = []
     for network in (CLASSICAL, SYNCHRONOUS):
-        found = _of(table, network, EUCLIDEAN).iloc[0]
+        measured = _of(table, network, EUCLIDEAN).iloc[0]
         published = network is CLASSICAL
         rows += [
             _of_distance(
                 f"{EUCLIDEAN}, {network.schedule}: mean distance after {iteration} iterations",
                 data=f"{value:.5f}" if published else None,
-                ours=f"{found[f'distance_{iteration}']:.5f}",
+                ours=f"{measured[f'distance_{iteration}']:.5f}",
                 note="" if published else "the schedule that the equations are printed for",
             )
             for iteration, value in KINEMATIC_COURSE.items()
@@ -362,13 +362,13 @@ def _euclidean_rows(table: pd.DataFrame) -> list[ResultRow]:
     rows = []
     for (dynamics, decay, schedule), published in DYNAMIC_EUCLIDEAN.items():
         network = MMCNetwork(dynamics=dynamics, velocity_decay=decay, schedule=schedule)
-        found = _of(table, network, EUCLIDEAN).iloc[0]
+        measured = _of(table, network, EUCLIDEAN).iloc[0]
         rows.append(
             _of_distance(
                 f"{EUCLIDEAN}, rule “{dynamics}”, decay {decay:g}, {schedule}: mean distance "
                 f"after {', '.join(map(str, published))} iterations",
                 data=", ".join(f"{value:.5f}" for value in published.values()),
-                ours=", ".join(f"{found[f'distance_{k}']:.5f}" for k in published),
+                ours=", ".join(f"{measured[f'distance_{k}']:.5f}" for k in published),
                 note="no learned weights: must agree to the digit",
             )
         )

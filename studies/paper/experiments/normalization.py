@@ -45,7 +45,9 @@ _FIELDS = ("[8]", "[16]")
 def run(settings: ExperimentSettings) -> Result:
     """Train the networks, or read them, and compare their errors with the published ones."""
     trained = trained_architectures(settings)
-    histories = {name: found.validation_mse.mean(axis=0) for name, found in trained.items()}
+    histories = {
+        name: architecture.validation_mse.mean(axis=0) for name, architecture in trained.items()
+    }
     fields = {name: vector_field(trained[name].normalizers[0]) for name in _FIELDS}
     quick = f"quick run: {QUICK_RECIPE.epochs} of {PAPER.epochs} epochs" if settings.quick else ""
     return Result(
@@ -72,8 +74,8 @@ def run(settings: ExperimentSettings) -> Result:
         data={
             "mse": _frame(trained),
             "training": {
-                f"{kind} {name}": getattr(found, f"{kind}_mse")
-                for name, found in trained.items()
+                f"{kind} {name}": getattr(architecture, f"{kind}_mse")
+                for name, architecture in trained.items()
                 for kind in ("training", "validation")
             },
             "vector_field": {
@@ -109,19 +111,21 @@ def agreement(ours: MeanAndDeviation, published: MeanAndDeviation) -> str:
 
 def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[ResultRow]:
     validation, training, angles = [], [], []
-    for name, found in trained.items():
+    for name, architecture in trained.items():
         published = NORMALIZATION_PUBLISHED[name]
-        grid = f"over the dense grid ours is {mean_and_deviation(found.grid_mse, 5)}"
-        row = _mse_row(f"{name}: validation MSE", found.validation_mse, published.validation, quick)
+        grid = f"over the dense grid ours is {mean_and_deviation(architecture.grid_mse, 5)}"
+        row = _mse_row(
+            f"{name}: validation MSE", architecture.validation_mse, published.validation, quick
+        )
         validation.append(replace(row, paper=published.text, note=f"{row.note}; {grid}"))
         training.append(
-            _mse_row(f"{name}: training MSE", found.training_mse, published.training, quick)
+            _mse_row(f"{name}: training MSE", architecture.training_mse, published.training, quick)
         )
         angles.append(
             ResultRow(
                 f"{name}: mean angle error",
                 data=f"{published.angle_error:.2f}",
-                ours=mean_and_deviation(found.angle_error, 2),
+                ours=mean_and_deviation(architecture.angle_error, 2),
                 unit="°",
                 note=quick or "lengths 0.9 to 1.1; its data: one network",
             )
@@ -144,14 +148,14 @@ def _frame(trained: Mapping[str, TrainedArchitecture]) -> pd.DataFrame:
         pd.DataFrame(
             {
                 "hidden_units": name,
-                "run": range(len(found.normalizers)),
-                "validation_mse": found.validation_mse[:, -1],
-                "training_mse": found.training_mse[:, -1],
-                "grid_mse": found.grid_mse,
-                "angle_error_deg": found.angle_error,
+                "run": range(len(architecture.normalizers)),
+                "validation_mse": architecture.validation_mse[:, -1],
+                "training_mse": architecture.training_mse[:, -1],
+                "grid_mse": architecture.grid_mse,
+                "angle_error_deg": architecture.angle_error,
             }
         )
-        for name, found in trained.items()
+        for name, architecture in trained.items()
     )
 
 
@@ -159,7 +163,7 @@ def _frame(trained: Mapping[str, TrainedArchitecture]) -> pd.DataFrame:
 def draw_errors(trained: Mapping[str, TrainedArchitecture]) -> Figure:
     """Draw the MSE by architecture, ours and the published one, mean ± deviation on a log axis."""
     figure, (axes,) = make_panels(1, 7.4, 3.4)
-    finals = [found.validation_mse[:, -1] for found in trained.values()]
+    finals = [architecture.validation_mse[:, -1] for architecture in trained.values()]
     ours = np.array([(final.mean(), final.std()) for final in finals])
     published = np.array([NORMALIZATION_PUBLISHED[name].validation for name in trained])
     deep = np.array(["," in name for name in trained])

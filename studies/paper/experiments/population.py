@@ -77,10 +77,10 @@ def tuning(activations: Floats) -> Tuning:
     """Return the tuning of units from their activations at `DIRECTIONS`, (directions, units).
 
     >>> cosines = np.cos(DIRECTIONS[:, None] - np.radians([10.0, 100.0, 280.0]))
-    >>> found = tuning(cosines)
-    >>> np.degrees(found.preferred).round(6).tolist(), found.width.round().tolist()
+    >>> layer = tuning(cosines)
+    >>> np.degrees(layer.preferred).round(6).tolist(), layer.width.round().tolist()
     ([10.0, 100.0, 280.0], [180.0, 180.0, 180.0])
-    >>> round(found.largest_gap, 6), int(found.active.min()), int(found.active.max())
+    >>> round(layer.largest_gap, 6), int(layer.active.min()), int(layer.active.max())
     (180.0, 1, 2)
     """
     units = activations.shape[1]
@@ -151,7 +151,7 @@ def run(settings: ExperimentSettings) -> Result:
         data={
             "hidden_units": {
                 "directions": DIRECTIONS,
-                **{name: found.activations for name, found in shown.items()},
+                **{name: layer.activations for name, layer in shown.items()},
             },
             "tuning": _frame(layers),
         },
@@ -168,21 +168,21 @@ def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
             {
                 "units": name,
                 "run": run,
-                "unit": np.arange(len(found.width)) + 1,
-                "preferred_direction_deg": np.degrees(found.preferred),
-                "tuning_width_deg": found.width,
+                "unit": np.arange(len(layer.width)) + 1,
+                "preferred_direction_deg": np.degrees(layer.preferred),
+                "tuning_width_deg": layer.width,
             }
         )
         for name, of_runs in layers.items()
-        for run, found in enumerate(of_runs)
+        for run, layer in enumerate(of_runs)
     )
 
 
 def _rows(name: str, runs: Sequence[Tuning]) -> list[ResultRow]:
-    widths = np.concatenate([found.width for found in runs])
-    gaps = np.array([found.largest_gap for found in runs])
-    active = np.concatenate([found.active for found in runs])
-    units = sum(found.size for found in runs)
+    widths = np.concatenate([run.width for run in runs])
+    gaps = np.array([run.largest_gap for run in runs])
+    active = np.concatenate([run.active for run in runs])
+    units = sum(run.size for run in runs)
     silent = units - widths.size
     silence = f"; {silent} of {units} units are silent and left out" if silent else ""
     return [
