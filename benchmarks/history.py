@@ -97,7 +97,7 @@ def losses(runs: Sequence[Run]) -> list[str]:
     if not runs:
         return []
     *before, last = runs
-    found = []
+    lines = []
     for row in last.rows:
         known = [
             earlier.ratio
@@ -109,8 +109,8 @@ def losses(runs: Sequence[Run]) -> list[str]:
             continue
         usual = float(np.median(known))
         if row.ratio < (1 - LOSS) * usual:
-            found.append(
+            lines.append(
                 f"{row.name}: {row.ratio:.3g} times as fast as {row.peer}, "
                 f"usually {usual:.3g}: a loss of {1 - row.ratio / usual:.0%}"
             )
-    return found
+    return lines

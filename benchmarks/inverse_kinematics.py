@@ -140,7 +140,10 @@ def play(solvers: Solvers, problems: Sequence[Problem], judge: Judge) -> list[Ro
             for problem in problems[begin : min(begin + TURN, solver.at_most)]:
                 posture, seconds = timed(solver, problem)
                 answers[name].append((*judge.errors(posture, problem), seconds))
-    return [score(name, found, problems[0].tolerance) for name, found in answers.items()]
+    return [
+        score(name, solver_answers, problems[0].tolerance)
+        for name, solver_answers in answers.items()
+    ]
 
 
 def reach(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -> list[Row]:
@@ -148,7 +151,7 @@ def reach(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -
     judge, rows = Judge(arm), []
     pairs = list(zip(judge.poses(arm, random, count), arm.random(random, (count,))))
     for turned in (True, False):
-        able = {name: one for name, one in solvers.items() if turned or one.positions}
+        able = {name: solver for name, solver in solvers.items() if turned or solver.positions}
         for tolerance in (LOOSE, TIGHT):
             problems = [Problem(*pair, turned, tolerance) for pair in pairs]
             task = f"{'pose' if turned else 'position'}, {tolerance[0] * 1e3:g} mm"
@@ -187,8 +190,8 @@ class Rebuilt(Solver):
     def solve(self, problem: Problem) -> Array | None:
         """Leave the joint out, and put its angle back."""
         start = np.delete(problem.start, self.joint)
-        found = self.inner.solve(replace(problem, start=start, held={}))
-        return None if found is None else np.insert(found, self.joint, self.angle)
+        posture = self.inner.solve(replace(problem, start=start, held={}))
+        return None if posture is None else np.insert(posture, self.joint, self.angle)
 
 
 def locked(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -> list[Row]:
@@ -245,7 +248,7 @@ def longer(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) 
                 answer, look = correct(arm, solver, problem, judge, np.random.default_rng(index))
                 answers[name].append(answer)
                 looks[name] += [look] if is_near(answer, LOOSE) else []
-    rows = [score(name, found, LOOSE, np.inf) for name, found in answers.items()]
+    rows = [score(name, solver_answers, LOOSE, np.inf) for name, solver_answers in answers.items()]
     return [row | {"looks": np.mean(looks[row["solver"]] or np.nan)} for row in rows]
 
 
@@ -293,15 +296,15 @@ def outside(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator)
             begin = long.solve(replace(problem, start=start), tries=5)
             settings = {"ftol": 1e-14, "gtol": 1e-10}
             known.append(minimize(squared, begin, bounds=arm.limits, options=settings).fun ** 0.5)
-        found = {}
+        problem_answers = {}
         for name, solver in able.items():
             if index < solver.at_most:
                 posture, seconds = timed(solver, problem)
-                found[name] = (judge.errors(posture, problem)[0], 0.0, seconds)
-        best = min(*known, *(answer[0] for answer in found.values()))
-        for name, (distance, angle, seconds) in found.items():
+                problem_answers[name] = (judge.errors(posture, problem)[0], 0.0, seconds)
+        best = min(*known, *(answer[0] for answer in problem_answers.values()))
+        for name, (distance, angle, seconds) in problem_answers.items():
             answers[name].append((distance - best, angle, seconds))
-    rows = [score(name, found, LOOSE) for name, found in answers.items()]
+    rows = [score(name, solver_answers, LOOSE) for name, solver_answers in answers.items()]
     for row in rows:
         row["none"] = 100 * np.mean(np.isinf([answer[0] for answer in answers[row["solver"]]]))
     return rows
@@ -330,7 +333,7 @@ def path(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) ->
                     largest = max(largest, float(np.abs(posture - now).max()))
                     now = posture
             jumps[name].append(largest)
-    rows = [score(name, found, LOOSE) for name, found in answers.items()]
+    rows = [score(name, solver_answers, LOOSE) for name, solver_answers in answers.items()]
     for row in rows:
         jump = np.array(jumps[row["solver"]])
         row |= {"jump": np.median(jump), "worst": jump.max(), "smooth": 100 * np.mean(jump < JUMP)}
@@ -343,7 +346,8 @@ def elbow(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -
     seen = [judge.see(posture) for posture in arm.random(random, (count,))]
     starts = arm.random(random, (count,))
     problems = [Problem(hand, start, elbow=at) for (hand, at), start in zip(seen, starts)]
-    return play({name: one for name, one in solvers.items() if one.elbows}, problems, judge)
+    able = {name: solver for name, solver in solvers.items() if solver.elbows}
+    return play(able, problems, judge)
 
 
 TABLES: dict[str, tuple[Callable[..., list[Row]], float]] = {  # with their shares of the problems
@@ -418,16 +422,16 @@ def digits(value: float | None) -> str:
 
 def make_solvers(arm: Arm, names: Iterable[str]) -> dict[str, Solver]:
     """Make the solvers that are installed and that apply to the arm."""
-    made: dict[str, Solver] = {}
+    solvers: dict[str, Solver] = {}
     for kind in SOLVERS:
         name = kind.label or kind.package
         if names and name not in names:
             continue
         try:
-            made[name] = kind(arm)
+            solvers[name] = kind(arm)
         except (ImportError, NotImplementedError) as error:
             print(f"{arm.name}: no {name}: {error}")
-    return made
+    return solvers
 
 
 def main(arguments: Arguments) -> None:
@@ -455,14 +459,14 @@ def main(arguments: Arguments) -> None:
             print(
                 f"{robot} {table}: {time.perf_counter() - begin:.0f} s, loads {loads}", flush=True
             )
-    every: list[Row] = []
+    all_rows: list[Row] = []
     for table in TABLES:
         paths = (arguments.out / f"{table}-{robot}-{arguments.seed}.json" for robot in ROBOTS)
         rows = [row for path in paths if path.exists() for row in json.loads(path.read_text())]
-        every += [{"table": table} | row for row in rows]
+        all_rows += [{"table": table} | row for row in rows]
         text += [f"## {table}\n\n{summary(table, rows)}"] if rows else []
     (arguments.out / f"summary-{arguments.seed}.md").write_text("\n\n".join(text) + "\n")
-    write_rows(arguments.out / f"rows-{arguments.seed}.csv", every)
+    write_rows(arguments.out / f"rows-{arguments.seed}.csv", all_rows)
 
 
 if __name__ == "__main__":

@@ -117,9 +117,8 @@ def torch_table(arguments: Arguments) -> Table:
                 scale = 1e9 / batch / ITERATIONS
                 cells = {key: f"{np.median(value) * scale:,.1f}" for key, value in times.items()}
                 ratio = np.median(times["torch"] / times["numpy"])
-                found = cells["numpy"], cells["torch"], f"{ratio:.1f}"
-                row = (np.dtype(dtype).name, f"{batch:,}", *found)
-                table.add_row(name, *row, cells["gradients"])
+                row = (np.dtype(dtype).name, f"{batch:,}", cells["numpy"], cells["torch"])
+                table.add_row(name, *row, f"{ratio:.1f}", cells["gradients"])
     return table
 
 

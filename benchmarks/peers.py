@@ -111,8 +111,8 @@ def carl(feature: str, low: float, high: float) -> Player:
     """Return the player of CARL's pendulum, with another value of a feature in each episode."""
     from carl.envs import CARLPendulum
 
-    drawn = np.random.default_rng(0).uniform(low, high, 1000)
-    env = CARLPendulum(contexts={place: {feature: one} for place, one in enumerate(drawn)})
+    values = np.random.default_rng(0).uniform(low, high, 1000)
+    env = CARLPendulum(contexts={place: {feature: value} for place, value in enumerate(values)})
     actions = [env.action_space.sample() for _ in range(200)]
 
     def play() -> None:
@@ -156,7 +156,7 @@ def gymnax(name: str, num_envs: int) -> Player:
     keys = jax.random.split(jax.random.PRNGKey(0), num_envs)
     space, steps = env.action_space(parameters), parameters.max_steps_in_episode
     drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, num_envs, *space.shape))
-    actions = [jax.numpy.asarray(one, dtype=space.dtype) for one in drawn]
+    actions = [jax.numpy.asarray(step_actions, dtype=space.dtype) for step_actions in drawn]
 
     def play() -> None:
         _, state = reset(keys, parameters)
@@ -253,7 +253,7 @@ DRAWN = (
 
 def drawn_entries(engine: str, arms: int) -> dict[str, Entry]:
     """Return entries by perturbation: none (""), then each of `DRAWN`, drawn or fixed."""
-    names = [f"{name}-{one}" for name, drawn, fixed in DRAWN for one in (drawn, *fixed)]
+    names = [f"{name}-{strength}" for name, drawn, fixed in DRAWN for strength in (drawn, *fixed)]
     return {
         name: _native_entry(name, arms, 1, engine=engine, perturbations=name or ())
         for name in ("", *names)

@@ -196,18 +196,20 @@ class Solver:
     def nearest(self, postures: Sequence[Array], problem: Problem) -> Array | None:
         """Return the posture within the limits that is nearest to start or elbow, or None."""
         low, high = self.arm.limits.T
-        found = np.reshape(postures, (-1, len(low)))
-        found = found - 2 * np.pi * np.round((found - problem.start) / (2 * np.pi))
-        found = found + 2 * np.pi * ((found < low) * 1.0 - (found > high))
-        found = found[np.all((low <= found) & (found <= high), axis=-1)]
-        if not len(found):
+        candidates = np.reshape(postures, (-1, len(low)))
+        candidates = candidates - 2 * np.pi * np.round((candidates - problem.start) / (2 * np.pi))
+        candidates = candidates + 2 * np.pi * ((candidates < low) * 1.0 - (candidates > high))
+        candidates = candidates[np.all((low <= candidates) & (candidates <= high), axis=-1)]
+        if not len(candidates):
             return None
         if problem.elbow is None:
-            away = np.abs(found - problem.start).max(axis=-1)
+            away = np.abs(candidates - problem.start).max(axis=-1)
         else:
-            elbows = np.array([self.arm.frames(one)[self.arm.elbow, :3, 3] for one in found])
+            elbows = np.array(
+                [self.arm.frames(candidate)[self.arm.elbow, :3, 3] for candidate in candidates]
+            )
             away = np.linalg.norm(elbows - problem.elbow, axis=-1)
-        return found[np.argmin(away)]
+        return candidates[np.argmin(away)]
 
 
 class Mmc(Solver):
@@ -448,8 +450,8 @@ class TracIk(Solver):
 
         quaternion = pinocchio.Quaternion(problem.target[:3, :3]).coeffs()
         solver, place = self.solvers[problem.tolerance], problem.target[:3, 3]
-        found = self.library.ik(solver, problem.start, *place, *quaternion)
-        return found[1:] if len(found) and found[0] >= 0 else None
+        solution = self.library.ik(solver, problem.start, *place, *quaternion)
+        return solution[1:] if len(solution) and solution[0] >= 0 else None
 
 
 class OptIk(Solver):
@@ -471,8 +473,8 @@ class OptIk(Solver):
             tol_f=problem.tolerance[0] ** 2,
             angular_weight=[float(problem.turned)] * 3,
         )
-        found = self.robot.ik(settings, problem.target, problem.start)
-        return None if found is None else np.array(found[0])
+        solution = self.robot.ik(settings, problem.target, problem.start)
+        return None if solution is None else np.array(solution[0])
 
 
 class Toolbox(Solver):
@@ -492,8 +494,10 @@ class Toolbox(Solver):
     def solve(self, problem: Problem) -> Array | None:
         near, angle = problem.tolerance
         mask = np.array([1.0] * 3 + [(near / angle) ** 2 * problem.turned] * 3)
-        found = self.chain.ik_LM(problem.target, problem.start, tol=near**2 / 2, mask=mask, k=0.1)
-        return found.q if found.success else None
+        solution = self.chain.ik_LM(
+            problem.target, problem.start, tol=near**2 / 2, mask=mask, k=0.1
+        )
+        return solution.q if solution.success else None
 
 
 class IkPy(Solver):
@@ -518,10 +522,10 @@ class IkPy(Solver):
             start[joint], free[joint] = angle, False
         self.chain.active_links_mask = np.array([False, *free, False])
         mode = "all" if problem.turned else None
-        found = self.chain.inverse_kinematics_frame(
+        posture = self.chain.inverse_kinematics_frame(
             problem.target, [0, *start, 0], orientation_mode=mode
         )
-        return np.array(found[1:-1])
+        return np.array(posture[1:-1])
 
 
 class Ssik(Solver):
@@ -545,8 +549,8 @@ class Ssik(Solver):
 
     def solve(self, problem: Problem) -> Array | None:
         settings = {"q_seed": problem.start, "max_solutions": 1} if problem.elbow is None else {}
-        found = self.module.solve(problem.target, **settings)
-        return self.nearest([one.q for one in found], problem)
+        solutions = self.module.solve(problem.target, **settings)
+        return self.nearest([solution.q for solution in solutions], problem)
 
 
 class Eaik(Solver):
@@ -583,8 +587,10 @@ class Eaik(Solver):
             choices = [{self.last: float(angle)} for angle in angles]
         for fixed in choices:
             robot = self.robot(fixed)
-            found = robot.IK(pose) if robot.hasKnownDecomposition() else None
-            exact = [q for q, near in zip(found.Q, found.is_LS) if not near] if found else []
+            solution = robot.IK(pose) if robot.hasKnownDecomposition() else None
+            exact = (
+                [q for q, near in zip(solution.Q, solution.is_LS) if not near] if solution else []
+            )
             best = self.nearest(exact, problem)
             if best is not None:
                 return best

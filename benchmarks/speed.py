@@ -79,23 +79,23 @@ class Arguments:
 
 def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
     """Return the environments whose packages are installed; print the names of the others."""
-    made = {}
+    players = {}
     # Async first: its processes must fork while this one still has no threads.
     for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
         try:
-            made[entry] = entry.make()
+            players[entry] = entry.make()
         except (ImportError, DependencyNotInstalled) as error:
             reason = str(error).partition("\n")[0]
             console.print(f"not installed: {entry.environment} {entry.variant} ({reason})")
-    return made
+    return players
 
 
-def seconds_per_step(made: Mapping[Entry, Player], rounds: int, seconds: float) -> Times:
+def seconds_per_step(players: Mapping[Entry, Player], rounds: int, seconds: float) -> Times:
     """Return the mean seconds per step of each entry, (rounds,), and close the environments."""
-    times = interleaved({entry: one.play for entry, one in made.items()}, rounds, seconds)
-    for one in made.values():
-        one.close()
-    return {entry: values / made[entry].steps for entry, values in times.items()}
+    times = interleaved({entry: player.play for entry, player in players.items()}, rounds, seconds)
+    for player in players.values():
+        player.close()
+    return {entry: values / players[entry].steps for entry, values in times.items()}
 
 
 def speed(seconds: NDArray[np.float64]) -> str:
@@ -143,20 +143,21 @@ def growth_table(times: Times) -> Table:
     headings = ("arms", "1 thread", "2 threads", "ratio", "µs per arm", "KiB per arm")
     table = empty_table("native, steps per second by number of arms", ("engine",), headings)
     for engine in ENGINES:
-        alone, two = (
+        one_thread, two_threads = (
             [entry for entry in times if (entry.variant, entry.threads) == (engine, threads)]
             for threads in (1, 2)
         )
-        memory = bytes_per_arm(engine, [entry.arms for entry in alone]) if alone else []
-        for one, both, size in zip(alone, two, memory, strict=True):
+        memory = bytes_per_arm(engine, [entry.arms for entry in one_thread]) if one_thread else []
+        for entry, threaded, size in zip(one_thread, two_threads, memory, strict=True):
             numbers = (
-                speed(times[one]),
-                speed(times[both]),
-                ratios(times, both, one)[0],
-                f"{np.median(times[one]) * 1e6:.2f}",
-                f"{size / 1024:.1f}" if one.arms >= 256 else "",  # few arms vanish in a page
+                speed(times[entry]),
+                speed(times[threaded]),
+                ratios(times, threaded, entry)[0],
+                f"{np.median(times[entry]) * 1e6:.2f}",
+                f"{size / 1024:.1f}" if entry.arms >= 256 else "",  # few arms vanish in a page
             )
-            table.add_row(engine, f"{one.arms:,}", *numbers, end_section=both is two[-1])
+            is_last = threaded is two_threads[-1]
+            table.add_row(engine, f"{entry.arms:,}", *numbers, end_section=is_last)
     return table
 
 
@@ -170,13 +171,15 @@ def drawn_table(rounds: int, console: Console) -> Table:
     table = empty_table(title, ("engine", "perturbation"), headings)
     for engine, arms in zip(ENGINES, (256, 4096), strict=True):
         entries = drawn_entries(engine, arms)
-        found = seconds_per_step(make_all(entries.values(), console), rounds, 0.02)
-        for name, drawn, strengths in DRAWN if found else ():
-            own = found[entries[f"{name}-{drawn}"]]
-            equal = np.mean([found[entries[f"{name}-{one}"]] for one in strengths], axis=0)
-            compared = (f"{np.median(one / own):.2f}" for one in (equal, found[entries[""]]))
-            microseconds = f"{np.median(own) * 1e6 * arms:.0f}"
-            table.add_row(f"{engine}, {arms:,} arms", f"{name}-{drawn}", microseconds, *compared)
+        times = seconds_per_step(make_all(entries.values(), console), rounds, 0.02)
+        for family, strength_range, strengths in DRAWN if times else ():
+            name = f"{family}-{strength_range}"
+            drawn = times[entries[name]]
+            fixed = [times[entries[f"{family}-{strength}"]] for strength in strengths]
+            references = np.mean(fixed, axis=0), times[entries[""]]
+            compared = (f"{np.median(reference / drawn):.2f}" for reference in references)
+            microseconds = f"{np.median(drawn) * 1e6 * arms:.0f}"
+            table.add_row(f"{engine}, {arms:,} arms", name, microseconds, *compared)
     return table
 
 
@@ -206,7 +209,7 @@ def _resident_size() -> float:
 
 def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float64]]]:
     """Return seconds per arm and iteration, (rounds,), by call (a copy or network) and arms."""
-    random, found = np.random.default_rng(0), dict[str, dict[int, NDArray[np.float64]]]()
+    random, times_by_call = np.random.default_rng(0), dict[str, dict[int, NDArray[np.float64]]]()
     for count in NETWORKS:
         posture = random.uniform(-np.pi, np.pi, (count, 3))
         target = random.uniform(-1.5, 1.5, (count, 2))
@@ -216,8 +219,8 @@ def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float6
         times = interleaved(calls, arguments.rounds, arguments.seconds / 3)
         for name, seconds in times.items():
             iterations = 1 if name == COPY else ITERATIONS
-            found.setdefault(name, {})[count] = seconds / iterations / count
-    return found
+            times_by_call.setdefault(name, {})[count] = seconds / iterations / count
+    return times_by_call
 
 
 def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
@@ -293,41 +296,42 @@ def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Tab
 
 def machine() -> str:
     """Return the machine, and the versions of Python and of the timed packages, as text."""
-    found = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
+    facts = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
     for package in PACKAGES:
         try:
-            found.append(f"{package} {version(package)}")
+            facts.append(f"{package} {version(package)}")
         except PackageNotFoundError:
             continue
-    return ", ".join(found)
+    return ", ".join(facts)
 
 
 def main(arguments: Arguments) -> None:
     """Print the tables, keep the numbers, draw the figures; with `--check`, fail on a loss."""
     console = Console(width=120, highlight=False)
     console.print(machine())
-    made = make_all((*SINGLE, *VECTOR), console)
-    times = seconds_per_step(made, arguments.rounds, arguments.seconds)
+    players = make_all((*SINGLE, *VECTOR), console)
+    times = seconds_per_step(players, arguments.rounds, arguments.seconds)
     console.print(single_table(times))
     console.print(vector_table(times))
     console.print(WHAT_THEY_SIMULATE)
     rows = rows_of(times, {entry: name_of(entry) for entry in times}, REFERENCE)
     networks, agents = network_times(arguments), agent_times(arguments)
-    kept = []
+    network_rows = []
     for count in NETWORKS:
-        found = {name: seconds[count] for name, seconds in networks.items()}
-        kept += rows_of(found, {name: f"network, {name}, {count:,} arms" for name in found}, COPY)
+        call_times = {call: seconds[count] for call, seconds in networks.items()}
+        names = {call: f"network, {call}, {count:,} arms" for call in call_times}
+        network_rows += rows_of(call_times, names, COPY)
     title = "an iteration of the network, dynamic; ratio to a copy of its state"
-    console.print(rows_table(title, "ns per arm", 1e9, kept))
-    acting = rows_of(agents, {name: f"one action of {name}" for name in agents}, "ppo")
-    console.print(rows_table("an action for one arm; ratio to ppo", "µs", 1e6, acting))
+    console.print(rows_table(title, "ns per arm", 1e9, network_rows))
+    agent_rows = rows_of(agents, {name: f"one action of {name}" for name in agents}, "ppo")
+    console.print(rows_table("an action for one arm; ratio to ppo", "µs", 1e6, agent_rows))
     arguments.out.mkdir(parents=True, exist_ok=True)
     if arguments.growth_rounds:
-        made = make_all(GROWTH, console)
-        console.print(growth_table(seconds_per_step(made, arguments.growth_rounds, 0.02)))
+        players = make_all(GROWTH, console)
+        console.print(growth_table(seconds_per_step(players, arguments.growth_rounds, 0.02)))
     if arguments.drawn_rounds:
         console.print(drawn_table(arguments.drawn_rounds, console))
-    file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
+    file = write_run(Run(now(), machine(), (*rows, *network_rows, *agent_rows)), arguments.out)
     runs = read_runs(arguments.out)
     console.print(f"wrote {file}; {len(runs)} runs are there")
     if lost := losses(runs):
