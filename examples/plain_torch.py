@@ -59,10 +59,10 @@ def roll_out():
         following = torch.where(is_over[k] > 0, values[k], values[k + 1])
         later = GAMMA * LAMBDA * (1 - is_over[k]) * later
         later = advantages[k] = rewards[k] + GAMMA * following - values[k] + later
-    data = seen[:-1], actions, log_probability(policy(seen[:-1]), actions), advantages
+    columns = seen[:-1], actions, log_probability(policy(seen[:-1]), actions), advantages
     returns = (advantages + values[:-1]).flatten()
     seen[0] = seen[-1]
-    return *(one.reshape(STEPS * ARMS, *one.shape[2:]) for one in data), returns
+    return *(column.reshape(STEPS * ARMS, *column.shape[2:]) for column in columns), returns
 
 
 def learn(states, actions, old, advantages, returns):

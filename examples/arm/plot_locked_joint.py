@@ -20,22 +20,22 @@ from mmc_gym.geometry import node_positions, segments_from_joint_angles
 SEEDS = range(50)
 SETTINGS = dict(control="joint_position", perturbations=["locks-2"])
 AGENTS = {"mmc": "-", "mmc-body": "--"}
-played = {}
+episodes = {}
 for name in AGENTS:
     envs = gym.make_vec("MMCReach-v0", len(SEEDS), **SETTINGS)
-    played[name] = mmc_gym.run_episodes(mmc_gym.make_agent(name, envs), envs, SEEDS)
-    reached = [episode.distances[-1] <= episode.tolerance for episode in played[name]]
+    episodes[name] = mmc_gym.run_episodes(mmc_gym.make_agent(name, envs), envs, SEEDS)
+    reached = [episode.distances[-1] <= episode.tolerance for episode in episodes[name]]
     print(f"{name}: {np.mean(reached):.0%} of {len(SEEDS)} targets reached")
 
 # %%
 # The first movement in which they differ: postures at the start (thin), when the joint locks, and
 # at the end (thick). A ring marks the locked joint.
 
-mine, theirs = ([one.distances[-1] for one in played[name]] for name in AGENTS)
+mine, theirs = ([episode.distances[-1] for episode in episodes[name]] for name in AGENTS)
 seed = next(seed for seed in SEEDS if theirs[seed] < 0.05 and mine[seed] > 0.5)
 figure, panels = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
 for axes, (name, line) in zip(panels, AGENTS.items()):
-    episode = played[name][seed]
+    episode = episodes[name][seed]
     nodes = node_positions(segments_from_joint_angles(episode.joint_angles, (1.0, 1.0, 1.0)))
     for step, width in ((0, 1), (10, 2), (-1, 4)):
         axes.plot(*nodes[step].T, "o-", color="0.3", linewidth=width, markersize=width + 2)

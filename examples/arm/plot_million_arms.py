@@ -38,10 +38,10 @@ print(f"{(distance < 0.05).mean():.1%} are within 0.05 of their targets")
 # Targets at the rim, for which the arm must stretch, and targets behind the arm take longer.
 
 figure, axes = plt.subplots(figsize=(5.6, 4.6), layout="constrained")
-found = axes.hexbin(*targets.T, C=distance, gridsize=90, vmin=0, vmax=0.3, cmap="Greys")
+hexagons = axes.hexbin(*targets.T, C=distance, gridsize=90, vmin=0, vmax=0.3, cmap="Greys")
 axes.plot(*start.nodes.T, "o-", color="tab:blue", linewidth=3, label="start")
 axes.set(xlabel="target x [segment lengths]", ylabel="target y [segment lengths]", aspect="equal")
-figure.colorbar(found, label=f"distance after {ITERATIONS} iterations [segment lengths]")
+figure.colorbar(hexagons, label=f"distance after {ITERATIONS} iterations [segment lengths]")
 axes.legend(loc="upper left")
 plt.show()
 

@@ -25,8 +25,8 @@ print(rows.groupby("agent")["seed"].nunique().to_dict())
 curves = mean_curves(rows, "steps")
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), sharex=True, sharey=True)
 figure.set_layout_engine("constrained")
-for _, one in rows[rows["agent"] == "ppo"].groupby("seed"):
-    left.plot(one["steps"], 100 * one["success"], color="0.6", linewidth=0.7)
+for _, training in rows[rows["agent"] == "ppo"].groupby("seed"):
+    left.plot(training["steps"], 100 * training["success"], color="0.6", linewidth=0.7)
 for axes, agents in ((left, ["ppo"]), (right, ["ppo", "sac", "tqc-her", "ppo-residual"])):
     for agent, line in zip(agents, ("-", "--", "-.", ":")):
         mean = curves[curves["agent"] == agent]

@@ -23,7 +23,7 @@ from studies.network.fitting import ACCURATE, train_normalizers
 short = replace(ACCURATE, samples=3600, epochs=60, refinement_iterations=0)
 recipes = {"60 epochs": short, "240 epochs": replace(short, epochs=240)}
 recipes["60 epochs, refined"] = replace(short, refinement_iterations=300)
-learned = {name: train_normalizers((8,), one)[0].normalizer for name, one in recipes.items()}
+learned = {name: train_normalizers((8,), recipe)[0].normalizer for name, recipe in recipes.items()}
 
 # %%
 # The first continues to learn inside the network: 60 iterations towards random targets, and
@@ -47,8 +47,8 @@ for _ in range(200):
 learned["60 epochs, then in the network"] = network.to_numpy().normalizer
 plt.figure(figsize=(7, 3.6), layout="constrained")
 starts, others = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, 1000, 3))
-for (name, one), line in zip(learned.items(), (":", "-.", "--", "-")):
-    plain = MMCNetwork(damping=4, normalizer=one)
+for (name, normalizer), line in zip(learned.items(), (":", "-.", "--", "-")):
+    plain = MMCNetwork(damping=4, normalizer=normalizer)
     target = plain.state_from_joint_angles(others).end_effector
     state = plain.run(plain.state_from_joint_angles(starts), plain.inverse(target), 100)
     distance = np.linalg.norm(state.end_effector - target, axis=-1)

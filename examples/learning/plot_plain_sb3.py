@@ -52,7 +52,7 @@ print(f"{successes[-1]:.1%} of the targets after {steps[-1]:,} steps and {second
 # network.
 
 figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
-axes.plot(steps, [100 * one for one in successes], "o-", color="black")
+axes.plot(steps, [100 * share for share in successes], "o-", color="black")
 axes.axhline(95, color="0.5", linestyle=":")
 axes.set(xlabel="environment steps", ylabel="success [%]", ylim=(-2, 102))
 plt.show()

@@ -27,7 +27,7 @@ for name in ("ppo-residual", "ppo"):
 comparison = mmc_gym.compare(["mmc", "ppo-residual", "ppo"], episodes=40)
 print(comparison.to_frame()[["success", "time_to_target", "path_ratio", "joint_work"]].round(2))
 alone = comparison.recorded["mmc"]
-share = sum((one.distances[1:] <= one.tolerance).mean() for one in alone) / len(alone)
+share = sum((episode.distances[1:] <= episode.tolerance).mean() for episode in alone) / len(alone)
 
 # %%
 # Five trainings of each. A policy that is quicker than the network is at the target for longer.
