@@ -60,7 +60,7 @@ FILMED = {
     "Another body": ("longer-20", "locks-2", "hand-mass-10", "obstacles-2"),
     "Forces and senses": ("force-field-60", "rotation-30", "delay-100", "vision-noise-0.1"),
 }
-FILMED_ROOMS = ("agents", "body", "envs", "network", "interface.py")
+FILMED_ROOMS = ("agents", "body", "envs", "network", "interface")
 
 GALLERY = {  # from easy to deep
     "arm": "a_movement contact_sheet locked_joint own_task million_arms",

@@ -339,4 +339,4 @@ def code_digest() -> str:
     """Return the SHA-256 of the code and weights of all agents that have no policy."""
     package = Path(str(files("mmc_gym")))
     rooms = ("agents/**/*.py", "network/**/*.py", "robots/**/*.py", "*/weights/*")
-    return digest_files(package, "interface.py", "geometry.py", *rooms)
+    return digest_files(package, "interface/*.py", "geometry.py", *rooms)

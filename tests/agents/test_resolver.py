@@ -181,17 +181,22 @@ def test_what_is_no_agent_or_no_list_of_them_is_refused(folder, agents, message)
         resolve_all(agents)
 
 
-CODE = ("agents/mmc.py", "network/model.py", "robots/arm.py", "interface.py", "geometry.py")
+CODE = (
+    "agents/mmc.py",
+    "network/model.py",
+    "robots/arm.py",
+    "interface/contract.py",
+    "geometry.py",
+)
 
 
 @pytest.mark.parametrize("changed", [None, *CODE])
 def test_changed_code_is_another_fingerprint(changed, tmp_path, monkeypatch):
     unchanged = resolve("mmc").fingerprint
     source, package = resolved.files("mmc_gym"), tmp_path / "mmc_gym"
-    for part in ("agents", "network", "robots"):
+    for part in ("agents", "network", "robots", "interface"):
         shutil.copytree(source / part, package / part)
-    for part in ("interface.py", "geometry.py"):
-        shutil.copy(source / part, package)
+    shutil.copy(source / "geometry.py", package)
     monkeypatch.setattr(resolved, "files", lambda name: package)
     if changed:
         (package / changed).write_text((package / changed).read_text() + "# changed")

@@ -1,22 +1,15 @@
-"""The contract between environments and agents: observations, actions, what agents are given.
-
-Only this module knows the place of each number in an observation.
-"""
+"""The contract between an environment, anyone's, and an agent: all that the agent is given."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, get_args
 
-import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
-from typing_extensions import override
 
 from mmc_gym._errors import (
     Numbers,
@@ -24,17 +17,16 @@ from mmc_gym._errors import (
     is_whole,
     require,
     require_choice,
-    require_floats,
     require_numbers,
     require_positive,
     require_rows,
 )
 from mmc_gym.geometry import Floats, in_the_world, wrap_angle
+from mmc_gym.interface.observation import Observation, ObservationLayout
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters, Servo
 
-Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"
 Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -74,191 +66,6 @@ def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
         "joint_torque": ActionMeaning("torque", body.torque_limit),
     }
     return meanings[control]
-
-
-class ObservationParts(NamedTuple):
-    """The parts of observations, arrays of numpy or torch with the batch in front.
-
-    Target and offset are vectors in the first segment's frame, whose x axis is that segment.
-    """
-
-    cosines: Any  #: of the joint angles, (..., N)
-    sines: Any  #: of the joint angles, (..., N)
-    speeds: Any  #: joint velocities as fractions of their limit, (..., N)
-    target: Any  #: position of the target, segment lengths, (..., 2)
-    offset: Any  #: target − hand, segment lengths, (..., 2)
-
-
-OFFSET_SCALE = 0.05  # segment lengths
-
-
-@dataclass(frozen=True)
-class ObservationLayout:
-    """The place of each number of an observation, for an arm of `joint_count` joints, N.
-
-    An observation of `MMCReach-v0` is (..., 3 N + 6), with e = R(−q_1) (target − hand)::
-
-        cos q, sin q, joint speeds / limit, R(−q_1) target, e, e / (OFFSET_SCALE + |e|)
-
-    One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
-    `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
-    lengths.
-    """
-
-    joint_count: int  #: N
-    reach: float  #: sum of the segment lengths that agents are given
-    #: whether `encode` clips to `limits`; noise or a cursor may exceed the reach
-    is_clipped: bool = False
-    has_goals: bool = False  #: whether `encode` makes observations of `MMCReachGoal-v0`
-    context_size: int = 0  #: how many numbers of a context follow an observation
-
-    @cached_property
-    def posture_size(self) -> int:
-        """Number of values for posture and joint speeds."""
-        return 3 * self.joint_count
-
-    @cached_property
-    def size(self) -> int:
-        """Number of values of an observation of `MMCReach-v0`."""
-        return self.posture_size + 6
-
-    @cached_property
-    def limits(self) -> NDArray[np.float32]:
-        """The largest size of each value of an observation of `MMCReach-v0`."""
-        limits = np.ones(self.size, np.float32)
-        limits[-6:-2] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
-        return limits
-
-    def space(self, more: Sequence[float] | Floats = ()) -> spaces.Box:
-        """Return the observation space of `MMCReach-v0`, with the limits of numbers behind."""
-        limits = np.concatenate([self.limits, more], dtype=np.float32)
-        return spaces.Box(-limits, limits, dtype=np.float32)
-
-    def goal_space(self, farthest: float, more: Sequence[float] | Floats = ()) -> spaces.Dict:
-        """Return the observation space of `MMCReachGoal-v0`; no coordinate is beyond `farthest`."""
-        goal = spaces.Box(-farthest, farthest, (2,), np.float64)
-        limits = np.concatenate([np.ones(self.posture_size), more], dtype=np.float32)
-        posture = spaces.Box(-limits, limits, dtype=np.float32)
-        return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
-
-    def additions(self, space: spaces.Space[Any]) -> int:
-        """Return how many values an observation space has beyond this layout."""
-        goals = space.spaces if isinstance(space, spaces.Dict) else {}
-        shape = goals.get("observation", space).shape or (0,)
-        count = shape[0] - (self.posture_size if goals else self.size)
-        accepted = f"that of a reaching environment with {self.joint_count} joints"
-        require(count >= 0, "observation_space", space, accepted)
-        return count
-
-    def encode(self, joint_angles: Any, joint_speeds: Any, *, hand: Any, target: Any) -> Any:
-        """Return the observation of one arm, given as lists, or of many, given as arrays.
-
-        For one arm, lists of floats take a fraction of the time.  Both give the same bits if
-        numpy's cosine and sine are those of the C library.
-
-        Args:
-            joint_angles: radians, a list of N or (..., N).
-            joint_speeds: as fractions of their limit, likewise, see `relative_speeds`.
-            hand: seen position of the hand or its cursor, segment lengths, (x, y) or (..., 2).
-            target: segment lengths, (x, y) or (..., 2).
-        """
-        if isinstance(joint_angles, list):
-            cosines, sines = [*map(cos, joint_angles)], [*map(sin, joint_angles)]
-            shown = () if self.has_goals else _shown(cosines[0], sines[0], hand, target, sqrt)
-            seen = np.array([*cosines, *sines, *joint_speeds, *shown], np.float32)
-        else:
-            cosine, sine = np.cos(joint_angles), np.sin(joint_angles)
-            first = cosine[..., 0], sine[..., 0]
-            points = _components(hand), _components(target)
-            shown = () if self.has_goals else _shown(*first, *points, np.sqrt)
-            columns = (value[..., None] for value in shown)
-            parts = (cosine, sine, joint_speeds, *columns)
-            seen = np.concatenate(parts, axis=-1, dtype=np.float32)
-        if self.has_goals:
-            goals = {"achieved_goal": np.array(hand), "desired_goal": np.array(target)}
-            return {"observation": seen, **goals}
-        if self.is_clipped:
-            np.clip(seen, -self.limits, self.limits, out=seen)
-        return seen
-
-    def check(self, observation: Observation) -> Observation:
-        """Return an observation of either kind, see the class, as arrays of finite numbers."""
-        if type(observation) is np.ndarray and observation.ndim == 1:
-            values = observation.tolist()  # for a single arm four times quicker than numpy
-            fine = len(values) == self.size + self.context_size and observation.dtype.char in "fd"
-            if fine and math.isfinite(sum(values)):
-                return observation
-        if not isinstance(observation, Mapping):
-            return require_floats("observation", observation, (self.size + self.context_size,))
-        sizes = {"observation": self.posture_size + self.context_size}
-        sizes |= {"achieved_goal": 2, "desired_goal": 2}
-        accepted = f"a mapping with {', '.join(sizes)}"
-        require(sizes.keys() <= observation.keys(), "observation", sorted(observation), accepted)
-        rows = {
-            name: require_floats(f"observation[{name!r}]", observation[name], (size,))
-            for name, size in sizes.items()
-        }
-        shapes = {name: one.shape for name, one in rows.items()}
-        fine = len({shape[:-1] for shape in shapes.values()}) == 1
-        require(fine, "observation", shapes, "of arrays with the same batch axes")
-        return rows
-
-    def flatten(self, observation: Any, arrays: Any = np) -> Any:
-        """Return observations of either kind, in numpy or torch, as those of `MMCReach-v0`.
-
-        They may be longer; the values that follow are kept.
-        """
-        if not isinstance(observation, Mapping):
-            return observation
-        posture, end = observation["observation"], self.posture_size
-        first = posture[..., 0], posture[..., self.joint_count]
-        points = _components(observation["achieved_goal"]), _components(observation["desired_goal"])
-        shown = _shown(*first, *points, arrays.sqrt)
-        parts = (posture[..., :end], arrays.stack(shown, -1), posture[..., end:])
-        return arrays.concatenate(parts, -1)
-
-    def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
-        """Split observations of either kind; see `flatten`."""
-        count, end = self.joint_count, self.posture_size
-        posture = observation["observation"] if isinstance(observation, Mapping) else observation
-        values = self.flatten(observation, arrays)
-        return ObservationParts(
-            cosines=posture[..., :count],
-            sines=posture[..., count : 2 * count],
-            speeds=posture[..., 2 * count : end],
-            target=values[..., end : end + 2],
-            offset=values[..., end + 2 : end + 4],
-        )
-
-
-def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
-    """Return the last six values of observations, from cosine and sine of the first joint angle.
-
-    All are numbers, or arrays of one shape; `root` is the square root for them.
-    """
-    (hand_x, hand_y), (target_x, target_y) = hand, target
-    along, across = target_x - hand_x, target_y - hand_y
-    # Written out: calls of `turned_back` would cost a step of one arm a microsecond.
-    x, y = cosine * along + sine * across, cosine * across - sine * along
-    scale = OFFSET_SCALE + root(x * x + y * y)
-    seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
-    return seen_x, seen_y, x, y, x / scale, y / scale
-
-
-def _components(vectors: Any) -> tuple[Any, Any]:
-    return vectors[..., 0], vectors[..., 1]
-
-
-def relative_speeds(joint_velocities: Any, limit: float) -> Any:
-    """Return joint velocities, a list of N or (..., N), as fractions of their limit, within ±1."""
-    if isinstance(joint_velocities, list):
-        return [
-            -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
-            for velocity in joint_velocities
-        ]
-    # np.clip would take twice as long for few arms.
-    speeds: Floats = np.maximum(joint_velocities / limit, -1.0)
-    return np.minimum(speeds, 1.0, out=speeds)
 
 
 @dataclass(frozen=True)
@@ -529,72 +336,6 @@ def _finite(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
     is_finite = math.isfinite(sum(array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
     require(bool(is_finite), name, array, "finite")
     return array
-
-
-class InterfacedEnv(gym.Env[Any, Any]):
-    """An environment, with its wrappers, together with the `ReachInterface` written for it.
-
-    Observations, actions, rewards and ends of episodes are the environment's.  Infos have more
-    entries, as the interface sees them: `end_effector`, `target`, `distance` between them,
-    `joint_angles` (not wrapped), and `is_success` where the interface has a success distance.
-    """
-
-    def __init__(self, env: Any, interface: Any) -> None:
-        """Join an environment with its interface.
-
-        The environment is single; agents also accept a vector of equal ones.  The interface is a
-        `ReachInterface`, "module:name" of one, or a function of the environment that returns one.
-        """
-        found = interface
-        if isinstance(interface, str):
-            from mmc_gym._files import import_object  # `import mmc_gym` loads no yaml
-
-            found = import_object(interface, "interface")
-        if callable(found) and not isinstance(found, ReachInterface):
-            found = found(env)
-        accepted = "an object of a subclass of ReachInterface, a function of env or 'module:name'"
-        require(isinstance(found, ReachInterface), "interface", found, accepted)
-        self.env, self.parameters, self.control = env, found, found.control
-        self.reach = sum(found.segment_lengths)
-        distance = found.success_distance
-        self.success_distance = math.nan if distance is None else distance
-        self.observation_space, self.action_space = env.observation_space, env.action_space
-        self.metadata, self.spec = env.metadata, env.spec
-        self.render_mode = getattr(env, "render_mode", None)
-        self._joint_angles: Floats | None = None
-
-    @override
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._joint_angles = None
-        return observation, self._described(observation, info)
-
-    @override
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, terminated, truncated, self._described(observation, info)
-
-    def _described(self, observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the info with what the interface sees."""
-        seen, before = self.parameters.look(observation), self._joint_angles
-        turn = 0.0 if before is None else wrap_angle(seen.joint_angles - before)
-        self._joint_angles = (seen.joint_angles if before is None else before) + turn
-        distance = float(np.linalg.norm(seen.target - seen.hand))
-        described = {"joint_angles": self._joint_angles, "end_effector": seen.hand}
-        described |= {"target": seen.target, "distance": distance}
-        if self.parameters.success_distance is not None:
-            described["is_success"] = distance <= self.parameters.success_distance
-        return {**info, **described}
-
-    @override
-    def render(self) -> Any:
-        return self.env.render()
-
-    @override
-    def close(self) -> None:
-        self.env.close()
 
 
 def read_attribute(env: Any, name: str) -> Any:
