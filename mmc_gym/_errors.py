@@ -177,9 +177,9 @@ def require_array(
 def require_floats(name: str, value: Any, trailing: tuple[int, ...]) -> NDArray[np.floating]:
     """Return a finite array of floats, as `require_array` does, whose last axes are `trailing`."""
     array = require_array(name, value)
-    accepted = f"of shape (..., {', '.join(map(str, trailing))})"
-    fine = array.shape[max(0, array.ndim - len(trailing)) :] == trailing
-    require(fine, name, array.shape, accepted)
+    if array.shape[max(0, array.ndim - len(trailing)) :] != trailing:  # to tell it takes a while
+        accepted = f"of shape (..., {', '.join(map(str, trailing))})"
+        require(False, name, array.shape, accepted)
     require(bool(np.isfinite(array).all()), name, value, "finite")
     return array
 

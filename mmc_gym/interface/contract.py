@@ -204,13 +204,13 @@ class ReachInterface:
         if not self.is_own:
             return self.look(observation)
         observation = self.layout.check(observation)
+        posture = observation["observation"] if isinstance(observation, Mapping) else observation
+        parts = self.layout.split(np.asarray(posture, np.float64))
+        joint_angles = np.arctan2(parts.sines, parts.cosines)
         if isinstance(observation, Mapping):
-            joint_angles = self._joint_angles(np.asarray(observation["observation"], np.float64))
             target: Floats = np.asarray(observation["desired_goal"], np.float64)
         else:
-            values = np.asarray(observation, np.float64)
-            joint_angles = self._joint_angles(values)
-            target = in_the_world(self.layout.split(values).target, joint_angles)
+            target = in_the_world(parts.target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
     def look(self, observation: Observation) -> Seen:
@@ -234,22 +234,16 @@ class ReachInterface:
 
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""
-        layout = self.layout
-        values = np.asarray(layout.flatten(layout.check(observation)), np.float64)
-        joint_angles, end = self._joint_angles(values), layout.posture_size
-        pair = values[..., end : end + 4].reshape(*values.shape[:-1], 2, 2)  # target and offset
-        points: Floats = in_the_world(pair, joint_angles[..., None, :])
-        target = points[..., 0, :]
+        flat = self.layout.flatten(self.layout.check(observation))
+        parts = self.layout.split(np.asarray(flat, np.float64))
+        joint_angles = np.arctan2(parts.sines, parts.cosines)
+        target, offset = in_the_world(np.array([parts.target, parts.offset]), joint_angles)
         return Seen(
             joint_angles=self.within_limits(joint_angles),
             target=target,
-            joint_speeds=values[..., 2 * layout.joint_count : end] * self.speed_limit,
-            hand=target - points[..., 1, :],
+            joint_speeds=parts.speeds * self.speed_limit,
+            hand=target - offset,
         )
-
-    def _joint_angles(self, values: Floats) -> Floats:
-        count = self.layout.joint_count
-        return np.arctan2(values[..., count : 2 * count], values[..., :count])
 
     def within_limits(self, joint_angles: Floats) -> Floats:
         """Return the angles within the joint limits that are nearest to these, (..., N)."""

@@ -161,10 +161,13 @@ class ObservationLayout:
         return arrays.concatenate(parts, -1)
 
     def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
-        """Split observations of either kind; see `flatten`."""
-        count, end = self.joint_count, self.posture_size
-        posture = observation["observation"] if isinstance(observation, Mapping) else observation
+        """Split observations of either kind; see `flatten`.
+
+        Of the posture alone, the `observation` of `MMCReachGoal-v0`, target and offset are empty.
+        """
         values = self.flatten(observation, arrays)
+        posture = values if values is observation else observation["observation"]
+        count, end = self.joint_count, self.posture_size
         return ObservationParts(
             cosines=posture[..., :count],
             sines=posture[..., count : 2 * count],
