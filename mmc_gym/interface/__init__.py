@@ -20,7 +20,7 @@ from mmc_gym.interface.observation import (
     ObservationParts,
     relative_speeds,
 )
-from mmc_gym.interface.wrapper import InterfacedEnv
+from mmc_gym.interface.wrapper import InterfacedEnv, InterfaceLike
 
 __all__ = [
     "CONTROLS",
@@ -29,6 +29,7 @@ __all__ = [
     "CannotActError",
     "Control",
     "ControlError",
+    "InterfaceLike",
     "InterfacedEnv",
     "JointLimits",
     "Observation",

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
     Numbers,
@@ -78,7 +78,7 @@ class Sensed:
     def in_rows(self) -> Self:
         """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
         rows = math.prod(self.joint_angles.shape[:-1])
-        flat = {key: one.reshape(rows, one.shape[-1]) for key, one in vars(self).items()}
+        flat = {name: part.reshape(rows, part.shape[-1]) for name, part in vars(self).items()}
         return type(self)(**flat)
 
 
@@ -152,8 +152,9 @@ class ReachInterface:
             accepted = f"{count} pairs of angles, the lower one first; infinite where there is none"
             require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
         joints = self.lockable_joints if np.iterable(self.lockable_joints) else (None,)
-        fine = all(is_whole(joint) and 0 <= joint < count for joint in joints)
-        require(fine, "lockable_joints", self.lockable_joints, f"numbers of joints below {count}")
+        are_joints = all(is_whole(joint) and 0 <= joint < count for joint in joints)
+        accepted = f"numbers of joints below {count}"
+        require(are_joints, "lockable_joints", self.lockable_joints, accepted)
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
@@ -169,7 +170,7 @@ class ReachInterface:
                 f"env must be a reaching environment of mmc_gym, got {env!r}; for any other "
                 "write a ReachInterface and hand it in, interface=..."
             )
-        names = (one.name for one in fields(cls) if hasattr(body, one.name))
+        names = (field.name for field in fields(cls) if hasattr(body, field.name))
         more = {"control": control, "context_size": read_attribute(env, "context_size") or 0}
         return cls(**{name: getattr(body, name) for name in names}, **more)
 
@@ -226,11 +227,11 @@ class ReachInterface:
         batch = np.shape(seen.joint_angles)[:-1]
         joints, axes = self._joint_count, 2 if self.arm is None else 3
         sizes = {"joint_angles": joints, "target": axes, "joint_speeds": joints, "hand": axes}
-        checked: dict[str, Any] = {}
+        arrays: dict[str, Floats] = {}
         for name, size in sizes.items():
             array = _finite(f"{name} of see", getattr(seen, name), (*batch, size))
-            checked[name] = array.astype(np.float64, copy=False)
-        return replace(seen, **checked)
+            arrays[name] = array.astype(np.float64, copy=False)
+        return replace(seen, **arrays)
 
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""
@@ -305,7 +306,7 @@ class ReachInterface:
         clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
         return clipped
 
-    def checked_action(self, action: Any, batch: tuple[int, ...]) -> Any:
+    def checked_action(self, action: NDArray[Any], batch: tuple[int, ...]) -> NDArray[Any]:
         """Return what `act` returned; if `act` is your own, as finite numbers, (*batch, any)."""
         if type(self).act is ReachInterface.act:
             return action
@@ -321,11 +322,11 @@ class ReachInterface:
             )
 
 
-def _finite(name: str, value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
     """Return an array of a shape; raise a `UserError` if it has another or is not finite."""
     array = np.asarray(value)
-    fine = array.shape == shape and array.dtype.kind in "fiu"
-    require(fine, name, f"{array.dtype} of shape {array.shape}", f"numbers of shape {shape}")
+    are_numbers = array.shape == shape and array.dtype.kind in "fiu"
+    require(are_numbers, name, f"{array.dtype} of shape {array.shape}", f"numbers of shape {shape}")
     # For a single arm four times quicker than numpy.
     is_finite = math.isfinite(sum(array.tolist())) if array.ndim == 1 else np.isfinite(array).all()
     require(bool(is_finite), name, array, "finite")

@@ -93,7 +93,14 @@ class ObservationLayout:
         require(count >= 0, "observation_space", space, accepted)
         return count
 
-    def encode(self, joint_angles: Any, joint_speeds: Any, *, hand: Any, target: Any) -> Any:
+    def encode(
+        self,
+        joint_angles: list[float] | Floats,
+        joint_speeds: list[float] | Floats,
+        *,
+        hand: Sequence[float] | Floats,
+        target: Sequence[float] | Floats,
+    ) -> Any:
         """Return the observation of one arm, given as lists, or of many, given as arrays.
 
         For one arm, lists of floats take a fraction of the time.  Both give the same bits if
@@ -128,8 +135,8 @@ class ObservationLayout:
         """Return an observation of either kind, see the class, as arrays of finite numbers."""
         if type(observation) is np.ndarray and observation.ndim == 1:
             values = observation.tolist()  # for a single arm four times quicker than numpy
-            fine = len(values) == self.size + self.context_size and observation.dtype.char in "fd"
-            if fine and math.isfinite(sum(values)):
+            is_complete = len(values) == self.size + self.context_size
+            if is_complete and observation.dtype.char in "fd" and math.isfinite(sum(values)):
                 return observation
         if not isinstance(observation, Mapping):
             return require_floats("observation", observation, (self.size + self.context_size,))
@@ -141,9 +148,9 @@ class ObservationLayout:
             name: require_floats(f"observation[{name!r}]", observation[name], (size,))
             for name, size in sizes.items()
         }
-        shapes = {name: one.shape for name, one in rows.items()}
-        fine = len({shape[:-1] for shape in shapes.values()}) == 1
-        require(fine, "observation", shapes, "of arrays with the same batch axes")
+        shapes = {name: row.shape for name, row in rows.items()}
+        is_one_batch = len({shape[:-1] for shape in shapes.values()}) == 1
+        require(is_one_batch, "observation", shapes, "of arrays with the same batch axes")
         return rows
 
     def flatten(self, observation: Any, arrays: Any = np) -> Any:
@@ -195,7 +202,7 @@ def _components(vectors: Any) -> tuple[Any, Any]:
     return vectors[..., 0], vectors[..., 1]
 
 
-def relative_speeds(joint_velocities: Any, limit: float) -> Any:
+def relative_speeds(joint_velocities: list[float] | Floats, limit: float) -> Any:
     """Return joint velocities, a list of N or (..., N), as fractions of their limit, within ±1."""
     if isinstance(joint_velocities, list):
         return [

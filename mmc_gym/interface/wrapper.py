@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,8 @@ from typing_extensions import override
 from mmc_gym._errors import require
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface.contract import ReachInterface
+
+InterfaceLike: TypeAlias = "ReachInterface | str | Callable[[gym.Env[Any, Any]], ReachInterface]"
 
 
 class InterfacedEnv(gym.Env[Any, Any]):
@@ -23,24 +25,24 @@ class InterfacedEnv(gym.Env[Any, Any]):
     `joint_angles` (not wrapped), and `is_success` where the interface has a success distance.
     """
 
-    def __init__(self, env: Any, interface: Any) -> None:
+    def __init__(self, env: gym.Env[Any, Any], interface: InterfaceLike) -> None:
         """Join an environment with its interface.
 
         The environment is single; agents also accept a vector of equal ones.  The interface is a
         `ReachInterface`, "module:name" of one, or a function of the environment that returns one.
         """
-        found = interface
+        resolved: Any = interface
         if isinstance(interface, str):
             from mmc_gym._files import import_object  # `import mmc_gym` loads no yaml
 
-            found = import_object(interface, "interface")
-        if callable(found) and not isinstance(found, ReachInterface):
-            found = found(env)
+            resolved = import_object(interface, "interface")
+        if callable(resolved) and not isinstance(resolved, ReachInterface):
+            resolved = resolved(env)
         accepted = "an object of a subclass of ReachInterface, a function of env or 'module:name'"
-        require(isinstance(found, ReachInterface), "interface", found, accepted)
-        self.env, self.parameters, self.control = env, found, found.control
-        self.reach = sum(found.segment_lengths)
-        distance = found.success_distance
+        require(isinstance(resolved, ReachInterface), "interface", resolved, accepted)
+        self.env, self.parameters, self.control = env, resolved, resolved.control
+        self.reach = sum(resolved.segment_lengths)
+        distance = resolved.success_distance
         self.success_distance = math.nan if distance is None else distance
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.metadata, self.spec = env.metadata, env.spec
