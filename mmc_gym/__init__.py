@@ -85,12 +85,12 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "__version__":
-        found: Any = import_module("importlib.metadata").version("mmc-gym")
+        value: Any = import_module("importlib.metadata").version("mmc-gym")
     else:
         home = import_module(f"{__name__}.{_HOMES.get(name, name)}")
-        found = getattr(home, name) if name in _HOMES else home
-    globals()[name] = found
-    return found
+        value = getattr(home, name) if name in _HOMES else home
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -28,25 +28,25 @@ inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 def compiled(function: Any) -> Any:
     """Compile a function that Python calls, at the first call, and keep the result on disk."""
     try:
-        made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # there is nowhere to write the cache
         return inner(function)
-    _KEPT.add(made)
-    return made
+    _CACHED.add(dispatcher)
+    return dispatcher
 
 
 class _Announcer(event.Listener):
     """Says in a terminal, on stderr, that numba compiles what it has not kept from earlier."""
 
     def on_start(self, event: Any) -> None:
-        if event.data["dispatcher"] in _KEPT and sys.stderr.isatty():
+        if event.data["dispatcher"] in _CACHED and sys.stderr.isatty():
             print("numba compiles, once on this machine: some seconds", file=sys.stderr)
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-_KEPT: set[Any] = set()  # what `compiled` has made
+_CACHED: set[Any] = set()  # what `compiled` has made
 event.register("numba:compile", _Announcer())
 
 

@@ -67,15 +67,15 @@ def missing(what: str, package: str, extra: str) -> MissingExtraError:
     )
 
 
-def require(fine: bool, name: str, value: object, accepted: str) -> None:
-    """Raise a `UserError` that names the argument, what is accepted and the value, unless `fine`.
+def require(is_accepted: bool, name: str, value: object, accepted: str) -> None:
+    """Raise a `UserError` with argument, what is accepted and value, unless it `is_accepted`.
 
     >>> require(False, "damping", -1.0, "positive and finite")
     Traceback (most recent call last):
     ...
     mmc_gym._errors.UserError: damping must be positive and finite, got -1.0
     """
-    if not fine:
+    if not is_accepted:
         raise UserError(f"{name} must be {accepted}, got {shown(value)}")
 
 
@@ -101,15 +101,15 @@ def is_disc(numbers: Numbers) -> bool:
 
 
 def require_number(
-    name: str, value: Any, accepted: str, fine: Callable[[float], bool] = math.isfinite
+    name: str, value: Any, accepted: str, is_accepted: Callable[[float], bool] = math.isfinite
 ) -> float:
-    """Return a real number that satisfies `fine`, as a float; bools are not numbers."""
+    """Return a real number that `is_accepted`, as a float; bools are not numbers."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     try:
         number = float(value) if is_number else math.nan
     except OverflowError:  # a whole number beyond floats
         number = math.nan
-    require(is_number and fine(number), name, value, accepted)
+    require(is_number and is_accepted(number), name, value, accepted)
     return number
 
 
@@ -138,12 +138,12 @@ def require_whole(name: str, value: Any, least: int = 1, most: float = _MOST) ->
 
 
 def require_numbers(
-    name: str, value: Any, accepted: str, fine: Callable[[Numbers], bool]
+    name: str, value: Any, accepted: str, is_accepted: Callable[[Numbers], bool]
 ) -> Numbers:
-    """Return a sequence or array of numbers that satisfies `fine`, as a tuple of floats."""
+    """Return a sequence or array of numbers that `is_accepted`, as a tuple of floats."""
     array = _array(value)
     numbers = tuple(array.astype(np.float64).tolist()) if array.ndim == 1 else ()
-    require(array.ndim == 1 and fine(numbers), name, value, accepted)
+    require(array.ndim == 1 and is_accepted(numbers), name, value, accepted)
     return numbers
 
 
@@ -151,17 +151,14 @@ def require_rows(
     name: str,
     value: Any,
     accepted: str,
-    fine: Callable[[Numbers], bool],
+    is_accepted: Callable[[Numbers], bool],
     counts: Container[int] = range(sys.maxsize),
 ) -> tuple[Numbers, ...]:
-    """Return rows of numbers, each satisfying `fine`, as tuples of floats.
-
-    The number of rows must be in `counts`.
-    """
+    """Return rows of numbers, as many as `counts` allows and each accepted, as tuples of floats."""
     array = _array(value)
     rows = tuple(map(tuple, array.astype(np.float64).tolist())) if array.ndim == 2 else ()
-    are_rows = array.ndim == 2 or array.shape == (0,)
-    require(are_rows and len(rows) in counts and all(map(fine, rows)), name, value, accepted)
+    are_rows = (array.ndim == 2 or array.shape == (0,)) and len(rows) in counts
+    require(are_rows and all(map(is_accepted, rows)), name, value, accepted)
     return rows
 
 
@@ -237,8 +234,8 @@ def require_names(name: str, value: Any, known: Iterable[object]) -> tuple[str, 
     """Return one name, or several, as a tuple; all must be among the known ones."""
     require(isinstance(value, Iterable), name, value, "a name, or several")
     names, known = (value,) if isinstance(value, str) else tuple(value), tuple(known)
-    for each in names:
-        require_choice(name, each, known)
+    for choice in names:
+        require_choice(name, choice, known)
     return names
 
 
@@ -270,10 +267,10 @@ def spelt(cls: Class) -> Class:
     return cls
 
 
-def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise an `UnknownArgumentError` for the first one in `given` that is not in `known`."""
+def require_known(what: str, names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise an `UnknownArgumentError` for the first of the names that is not in `known`."""
     known = tuple(known)
-    for name in given:
+    for name in names:
         if name not in known:
             guess = _question(nearest(name, known))
             message = f"{what} got an unexpected keyword argument {name!r}{guess}"
@@ -286,15 +283,15 @@ def explain(error: ValidationError) -> str:
     An error about all entries together is shown without a value.
     """
     complaints = []
-    for each in error.errors(include_url=False):
-        entry, kind = ".".join(map(str, each["loc"])), each["type"]
-        accepted = each["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    for detail in error.errors(include_url=False):
+        entry, kind = ".".join(map(str, detail["loc"])), detail["type"]
+        accepted = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         accepted = accepted.replace("greater than or equal to", "at least")
         if kind == "missing":
             accepted = "must be given"
         elif kind in ("extra_forbidden", "unexpected_keyword_argument"):
             accepted = "is not known"
         elif entry:
-            accepted += f", got {shown(each['input'])}"
+            accepted += f", got {shown(detail['input'])}"
         complaints.append(f"{entry} {accepted}".strip())
     return "; ".join(complaints)

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
 from mmc_gym.geometry import Floats, segments_from_joint_angles, wrap_angle
-from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
+from mmc_gym.interface import InterfacedEnv, InterfaceLike, ReachInterface, Seen
 
 TURN, STEPS = 0.2, 25  # radians that each joint is asked to turn, and in how many steps
 EPISODES = 3  # that are begun
 CLOSE = 0.02  # shares of the reach, or of what is compared
 
 
-def check_interface(env: Any, interface: Any, seed: int = 0) -> list[str]:
+def check_interface(env: gym.Env[Any, Any], interface: InterfaceLike, seed: int = 0) -> list[str]:
     r"""Return what seems to be wrong with an interface, a line each; an empty list if nothing is.
 
     Some episodes are begun in the environment, and each joint is asked to turn a little.
@@ -35,51 +38,57 @@ def check_interface(env: Any, interface: Any, seed: int = 0) -> list[str]:
     segment_lengths should be near 1, got (0.1, 0.11): choose another unit of length in see
     hand of see is 10 times where segment_lengths and joint_angles put it: check the units
     """
-    ours = InterfacedEnv(env, interface).parameters
+    contract = InterfacedEnv(env, interface).parameters
     observations = [env.reset(seed=seed + number)[0] for number in range(EPISODES)]
     try:
-        seen = [ours.look(one) for one in observations]
-        actions = [_action(ours, one, one.joint_angles) for one in seen]
-        lines = [*_batches(ours, observations, seen, actions), *_hand(ours, seen)]
-        return [*lines, *_turns(ours, env, seed)]
+        sights = [contract.look(observation) for observation in observations]
+        lines = [*_batches(contract, observations, sights), *_hand(contract, sights)]
+        return [*lines, *_turns(contract, env, seed)]
     except UserError as error:
         return [str(error)]
 
 
-def _action(ours: ReachInterface, seen: Seen, targets: Floats) -> Any:
-    return ours.checked_action(ours.act(targets, seen), seen.joint_angles.shape[:-1])
+def _action(contract: ReachInterface, seen: Seen, targets: Floats) -> NDArray[Any]:
+    return contract.checked_action(contract.act(targets, seen), seen.joint_angles.shape[:-1])
 
 
-def _batches(ours: ReachInterface, observations: Any, seen: Any, actions: Any) -> list[str]:
+def _rows(arms: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Return what several arms have under the same names as batches."""
+    return {name: np.stack([arm[name] for arm in arms]) for name in arms[0]}
+
+
+def _batches(
+    contract: ReachInterface, observations: Sequence[Any], sights: Sequence[Seen]
+) -> list[str]:
     """Compare what is seen and done in a batch with what is in each of its rows."""
-    if isinstance(observations[0], dict):
-        batch: Any = {key: np.stack([one[key] for one in observations]) for key in observations[0]}
-    else:
-        batch = np.stack(observations)
-    rows = {name: np.stack([vars(one)[name] for one in seen]) for name in vars(seen[0])}
+    rows = _rows([vars(seen) for seen in sights])
+    actions = np.stack([_action(contract, seen, seen.joint_angles) for seen in sights])
+    is_mapping = isinstance(observations[0], dict)
+    batch = _rows(observations) if is_mapping else np.stack(observations)
     try:
-        together = ours.look(batch)
-        action = _action(ours, together, together.joint_angles)
+        together = contract.look(batch)
+        action = _action(contract, together, together.joint_angles)
     except Exception as error:  # of any kind: see and act are the user's
         return [f"see or act fails for a batch of observations: {error}"]
     wrong = [name for name, row in rows.items() if not np.allclose(vars(together)[name], row)]
     lines = [f"{name} of see differs between a batch and its rows" for name in wrong]
-    if not np.allclose(action, np.stack(actions), atol=1e-6):
+    if not np.allclose(action, actions, atol=1e-6):
         lines.append("what act returns differs between a batch and its rows")
     return lines
 
 
-def _hand(ours: ReachInterface, seen: list[Seen]) -> list[str]:
+def _hand(contract: ReachInterface, sights: Sequence[Seen]) -> list[str]:
     """Compare the hand with forward kinematics, and lengths with 1."""
-    angles, hands = np.stack([s.joint_angles for s in seen]), np.stack([s.hand for s in seen])
-    lengths, lines = ours.segment_lengths, []
-    if ours.arm is None and not 0.2 <= np.mean(lengths) <= 5:
+    angles = np.stack([seen.joint_angles for seen in sights])
+    hands = np.stack([seen.hand for seen in sights])
+    lengths, lines = contract.segment_lengths, []
+    if contract.arm is None and not 0.2 <= np.mean(lengths) <= 5:
         message = f"segment_lengths should be near 1, got {lengths}"
         lines.append(f"{message}: choose another unit of length in see")
 
     def places(angles: Floats) -> Floats:
-        if ours.arm is not None:
-            return ours.arm.forward(angles)[:, :3, 3]
+        if contract.arm is not None:
+            return contract.arm.forward(angles)[:, :3, 3]
         return segments_from_joint_angles(angles, np.array(lengths)).sum(axis=-2)
 
     expected, near = places(angles), CLOSE * sum(lengths)
@@ -103,19 +112,19 @@ def _hand(ours: ReachInterface, seen: list[Seen]) -> list[str]:
     return [*lines, f"hand of see is up to {farthest:.3g} from {about}"]
 
 
-def _turns(ours: ReachInterface, env: Any, seed: int) -> list[str]:
+def _turns(contract: ReachInterface, env: gym.Env[Any, Any], seed: int) -> list[str]:
     """Ask each joint to turn, and compare speeds with how fast angles change."""
     lines, ratios = [], []
-    for joint in range(len(ours.look(env.reset(seed=seed)[0]).joint_angles)):
+    for joint in range(len(contract.look(env.reset(seed=seed)[0]).joint_angles)):
         best = np.zeros(2)
         for side, way in enumerate((TURN, -TURN)):
-            seen = start = ours.look(env.reset(seed=seed)[0])
+            seen = start = contract.look(env.reset(seed=seed)[0])
             targets = start.joint_angles.copy()
             targets[joint] += way
             for _ in range(STEPS):
-                before, (observation, *_) = seen, env.step(_action(ours, seen, targets))
-                seen = ours.look(observation)
-                change = wrap_angle(seen.joint_angles - before.joint_angles) / ours.control_step
+                before, (observation, *_) = seen, env.step(_action(contract, seen, targets))
+                seen = contract.look(observation)
+                change = wrap_angle(seen.joint_angles - before.joint_angles) / contract.control_step
                 mean = (seen.joint_speeds + before.joint_speeds) / 2
                 ratios += [(change @ mean, change @ change)]
                 turned = wrap_angle(seen.joint_angles - start.joint_angles)[joint] / way
@@ -126,5 +135,5 @@ def _turns(ours: ReachInterface, env: Any, seed: int) -> list[str]:
     product, square = np.sum(ratios, axis=0)
     if square > 0 and not 0.5 < product / square < 2:
         ratio = f"{product / square:.3g} times the change of joint_angles per control_step"
-        lines.append(f"joint_speeds of see are {ratio}, {ours.control_step:g} s")
+        lines.append(f"joint_speeds of see are {ratio}, {contract.control_step:g} s")
     return lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -57,13 +57,13 @@ def list_agents() -> Listing:
             return f"{entry.control}, 3 joints"
         return "lengths, servo" if entry.knowledge.lengths.startswith("given") else "nothing"
 
-    rows = (Listed(name, one.description, needs(one)) for name, one in AGENTS.items())
+    rows = (Listed(name, entry.description, needs(entry)) for name, entry in AGENTS.items())
     return Listing(Listed("agent", "what it is", "needs"), rows)
 
 
 def list_tasks() -> Listing:
     """Return the names of all tasks; `task=NAME` of an environment takes them."""
-    rows = (Listed(name, one.description, _episodes(one.task)) for name, one in TASKS.items())
+    rows = (Listed(name, entry.description, _episodes(entry.task)) for name, entry in TASKS.items())
     return Listing(Listed("task", "what it is", "episodes"), rows)
 
 
@@ -79,9 +79,9 @@ def list_perturbations() -> Listing:
     Listed(name='rotation', what='cursor turned by 30°', needs='°')
     """
     rows = []
-    for name, one in FAMILIES.items():
-        what = one.description.format(f"{one.default:g}")
-        rows.append(Listed(name, what, f"{one.unit}{', or -known' * one.known}"))
+    for name, family in FAMILIES.items():
+        what = family.description.format(f"{family.default:g}")
+        rows.append(Listed(name, what, f"{family.unit}{', or -known' * family.known}"))
     return Listing(Listed("perturbation", "what it is", "strength in"), rows)
 
 
@@ -93,7 +93,10 @@ def list_scenarios() -> Listing:
     from mmc_gym.benchmark.suite import SCENARIOS
 
     scenarios = SCENARIOS | {name: Scenario(task) for name, task in TASKS.items()}
-    rows = (Listed(k, one.description, _episodes(one.task.task)) for k, one in scenarios.items())
+    rows = (
+        Listed(name, scenario.description, _episodes(scenario.task.task))
+        for name, scenario in scenarios.items()
+    )
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
 
@@ -103,8 +106,8 @@ def list_experiments() -> Listing:
 
     rows = []
     for name in EXPERIMENTS:
-        found = find_experiment(name)
-        rows.append(Listed(name, found.description, f"{len(found.schedule)} trials"))
+        experiment = find_experiment(name)
+        rows.append(Listed(name, experiment.description, f"{len(experiment.schedule)} trials"))
     return Listing(Listed("experiment", "what it is", "length"), rows)
 
 
@@ -112,7 +115,7 @@ def list_measures() -> Listing:
     """Return the names of all measures of an episode, yours included."""
     from mmc_gym.measures import MEASURES
 
-    rows = (Listed(name, one.full_label, _unit(one)) for name, one in MEASURES.items())
+    rows = (Listed(name, measure.full_label, _unit(measure)) for name, measure in MEASURES.items())
     return Listing(Listed("measure", "what it is", "unit"), rows)
 
 
@@ -141,41 +144,39 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         if name.endswith((".yml", ".yaml")):  # nothing else is in a file
             raise
     try:
-        found = find_scenario(name)
+        scenario = find_scenario(name)
     except UserError:
         if not rows:
             raise
     else:
-        yield from _describe_scenario(found)
+        yield from _describe_scenario(scenario)
     yield from rows
 
 
-def _describe_scenario(found: Playable) -> Iterator[tuple[str, str]]:
+def _describe_scenario(scenario: Playable) -> Iterator[tuple[str, str]]:
     """Yield headings and texts that describe a scenario, or an environment of your own."""
-    env = found.make()
+    env = scenario.make()
     setup: Any = env.get_wrapper_attr("setup")
-    task = setup.task
-    yield found.name, found.description
-    yield "make it", "\n".join(_ways_to_make(found))
-    task_name = found.task.name if isinstance(found, Scenario) else type(task).__name__
+    task, control_step = setup.task, setup.given_body.control_step
+    yield scenario.name, scenario.description
+    yield "make it", "\n".join(_ways_to_make(scenario))
+    task_name = scenario.task.name if isinstance(scenario, Scenario) else type(task).__name__
     yield "task", f"{task_name}: {_about(type(task))}"
-    for one in found.changes:
-        about = [one.family.apply, *([Change] if one.is_timed else [])]
-        yield "perturbation", f"{one.name}: {' '.join(map(_about, about))}"
+    for change in scenario.changes:
+        about = [change.family.apply, *([Change] if change.is_timed else [])]
+        yield "perturbation", f"{change.name}: {' '.join(map(_about, about))}"
     if setup.episodes.is_drawn:
-        draws = [env.reset(seed=seed)[1]["context"] for seed in range(EXAMPLES)]
-        lines = (", ".join(f"{k} {v:.3g}" for k, v in one.items() if v == v) for one in draws)
-        yield "for example", "\n".join(lines)
+        contexts = [env.reset(seed=seed)[1]["context"] for seed in range(EXAMPLES)]
+        yield "for example", "\n".join(map(_context_line, contexts))
     headings = {"delay": "delay", "vision_delay": "delay of sight"}
     headings["action_delay"] = "delay of actions"
     for column, delay in setup.limits.delays.items():
         if delay:
-            late = 1000 * delay * setup.given_body.control_step
-            yield headings[column], f"{delay} control steps, {late:g} ms"
-    yield "agents", "\n".join(_given(found, setup))
+            yield headings[column], f"{delay} control steps, {1000 * delay * control_step:g} ms"
+    yield "agents", "\n".join(_given(scenario, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
-    seconds = task.episode_steps * setup.given_body.control_step
-    length = f"{task.episode_steps} steps of {setup.given_body.control_step:g} s ({seconds:g} s)"
+    steps = task.episode_steps
+    length = f"{steps} steps of {control_step:g} s ({steps * control_step:g} s)"
     yield "episodes", f"{length}; starts and targets {trials}"
     for kind in ("action", "observation"):
         space = getattr(env, f"{kind}_space")
@@ -190,33 +191,38 @@ def _about(described: object) -> str:
     return " ".join(text.partition("Attributes:")[0].split())
 
 
-def _ways_to_make(found: Playable) -> Iterator[str]:
+def _context_line(context: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in context.items() if value == value)
+
+
+def _ways_to_make(scenario: Playable) -> Iterator[str]:
     """Yield code and commands; the first line needs nothing but the name."""
-    names = ", ".join(f'"{one.name}"' for one in found.changes)
+    names = ", ".join(f'"{change.name}"' for change in scenario.changes)
     changes = f", perturbations=[{names}]" if names else ""
-    if isinstance(found, Scenario):
-        env_id = environment_id(found.task.name)
+    if isinstance(scenario, Scenario):
+        env_id = environment_id(scenario.task.name)
     else:
-        env_id = name_of(found.env)
-    yield f'mmc_gym.make("{found.name}")'
+        env_id = name_of(scenario.env)
+    yield f'mmc_gym.make("{scenario.name}")'
     yield f'gym.make("{env_id}"{changes})'
-    yield f"mmc-gym benchmark --scenarios {found.name}"
+    yield f"mmc-gym benchmark --scenarios {scenario.name}"
 
 
-def _given(found: Playable, setup: Any) -> Iterator[str]:
+def _given(scenario: Playable, setup: Any) -> Iterator[str]:
     """Yield what agents are given, and how the simulated arm differs from that."""
-    if not found.changes:
+    if not scenario.changes:
         yield "are given the arm as it is"
         return
-    for change in found.changes:
-        thing = "the perturbation" if len(found.changes) == 1 else change.name
+    for change in scenario.changes:
+        subject = "the perturbation" if len(scenario.changes) == 1 else change.name
         can_be_given = change.family.known and not (change.known or change.is_drawn)
         hint = f"; with {change.name}-known they are" if can_be_given else ""
-        yield f"are {'' if change.known else 'not '}given {thing}{hint}"
-    for one in fields(setup.given_body) if not setup.episodes.is_drawn else ():
-        given, true = getattr(setup.given_body, one.name), getattr(setup.first.body, one.name)
-        if given != true:
-            yield f"{one.name}: {_short(true)}, given {_short(given)}"
+        yield f"are {'' if change.known else 'not '}given {subject}{hint}"
+    for field in fields(setup.given_body) if not setup.episodes.is_drawn else ():
+        given_value = getattr(setup.given_body, field.name)
+        true_value = getattr(setup.first.body, field.name)
+        if given_value != true_value:
+            yield f"{field.name}: {_short(true_value)}, given {_short(given_value)}"
 
 
 def _short(value: Any) -> str:

@@ -57,26 +57,26 @@ def record(
     are those of `mmc_gym.compare`.
     """
     out = Path(out)
-    films = {".gif": gif, ".mp4": mp4}
-    fine = out.suffix in films and not out.is_dir()
-    require(fine, "out", str(out), "a file that ends in .gif or .mp4")
+    formats = {".gif": gif, ".mp4": mp4}
+    is_film = out.suffix in formats and not out.is_dir()
+    require(is_film, "out", str(out), "a file that ends in .gif or .mp4")
     if out.suffix == ".mp4":
         _require_ffmpeg()
-    several: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
-    shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
-    found = resolve_all(several, every_training=False, **shared)
+    loading: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
+    all_agents: Any = agents if isinstance(agents, (list, tuple, Mapping)) else [agents]
+    resolved_agents = resolve_all(all_agents, every_training=False, **loading)
     seeds, every = episode_seeds(seed, episodes), require_whole("every", every)
-    given = require_arguments("env_kwargs", env_kwargs) | {"render_mode": "rgb_array"}
-    scenario = parse_environment(env, given, interface)
+    arguments = require_arguments("env_kwargs", env_kwargs) | {"render_mode": "rgb_array"}
+    scenario = parse_environment(env, arguments, interface)
     with ExitStack() as stack:
-        played: dict[str, tuple[Predictor, RenderCollection[Any, Any]]] = {}
-        for one in found:
-            world, player = make_player(one, scenario)
+        players: dict[str, tuple[Predictor, RenderCollection[Any, Any]]] = {}
+        for agent in resolved_agents:
+            world, player = make_player(agent, scenario)
             stack.callback(world.close)
-            played[one.label] = player, RenderCollection(world)
+            players[agent.label] = player, RenderCollection(world)
         rate = world.metadata["render_fps"] / every
-        pictures = _pictures(played, seeds, on_episode, every, math.ceil(_HELD * rate))
-        return write_atomically(out, films[out.suffix](pictures, rate))
+        pictures = _pictures(players, seeds, on_episode, every, math.ceil(_HELD * rate))
+        return write_atomically(out, formats[out.suffix](pictures, rate))
 
 
 def picture_draws(scenario: str, out: Path | str) -> Path:
@@ -94,7 +94,8 @@ def picture_draws(scenario: str, out: Path | str) -> Path:
                 action, state = player.predict(observation, state)
                 observation = world.step(action)[0]
             frame: Any = world.render()
-            values = [f"{one:.3g}" for one in info.get("context", {}).values() if one == one]
+            context = info.get("context", {})
+            values = [f"{value:.3g}" for value in context.values() if value == value]
             panels.append(np.asarray(named(Image.fromarray(frame).reduce(2), ", ".join(values))))
     picture = io.BytesIO()
     Image.fromarray(np.hstack(panels)).save(picture, format="PNG", optimize=True)
@@ -102,7 +103,7 @@ def picture_draws(scenario: str, out: Path | str) -> Path:
 
 
 def _pictures(
-    played: Mapping[str, tuple[Predictor, RenderCollection[Any, Any]]],
+    players: Mapping[str, tuple[Predictor, RenderCollection[Any, Any]]],
     seeds: Sequence[int],
     on_episode: Callable[[Episode], None] | None,
     every: int,
@@ -114,17 +115,16 @@ def _pictures(
     """
     for seed in seeds:
         films: list[Sequence[Picture]] = []
-        for player, world in played.values():
+        for player, world in players.values():
             run_episodes(player, world, [seed], on_episode, records_effort=False)
             frames: Any = world.render()
             films.append(frames)
         longest = max(films, key=len)
-        shown = [*range(0, len(longest) - 1, every), *[len(longest) - 1] * (1 + held)]
-        for number in shown:
+        for number in (*range(0, len(longest) - 1, every), *[len(longest) - 1] * (1 + held)):
             panels = [film[min(number, len(film) - 1)] for film in films]
             if len(panels) > 1:  # next to each other, half as large, under their names
                 halves = [Image.fromarray(panel).reduce(2) for panel in panels]
-                panels = [np.asarray(named(half, name)) for half, name in zip(halves, played)]
+                panels = [np.asarray(named(half, name)) for half, name in zip(halves, players)]
             yield np.hstack(panels)
 
 
@@ -133,19 +133,19 @@ def named(picture: Image.Image, name: str) -> Image.Image:
     width, height, caption = picture.width, picture.width // 9, picture.width // 25
     disc = picture.crop((0, caption, width, picture.height))
     tall = -(-(height + disc.height) // 16) * 16  # as encoders of video like it
-    found = Image.new("RGB", (width, tall), picture.getpixel((0, width - 1)))
-    found.paste(disc, (0, tall - disc.height))
+    panel = Image.new("RGB", (width, tall), picture.getpixel((0, width - 1)))
+    panel.paste(disc, (0, tall - disc.height))
     font = ImageFont.load_default(0.85 * height)
-    ImageDraw.Draw(found).text((6, 0), name, font=font, fill=(30, 40, 60))
-    return found
+    ImageDraw.Draw(panel).text((6, 0), name, font=font, fill=(30, 40, 60))
+    return panel
 
 
 def gif(pictures: Iterable[Picture], frame_rate: float) -> bytes:
     """Return pictures (height, width, 3) as a GIF that loops, at most 50 pictures a second."""
     every = math.ceil(_LEAST_DURATION * frame_rate)
-    images = (Image.fromarray(one).quantize() for one in islice(pictures, None, None, every))
-    film, shared = io.BytesIO(), {"duration": round(1000 * every / frame_rate), "loop": 0}
-    next(images).save(film, format="GIF", save_all=True, append_images=images, **shared)
+    images = (Image.fromarray(frame).quantize() for frame in islice(pictures, None, None, every))
+    film, timing = io.BytesIO(), {"duration": round(1000 * every / frame_rate), "loop": 0}
+    next(images).save(film, format="GIF", save_all=True, append_images=images, **timing)
     return film.getvalue()
 
 
@@ -192,11 +192,11 @@ def play(
     """
     open_display(must_be_seen=True)
     try:
-        given = require_arguments("env_kwargs", env_kwargs)
-        given |= {"render_mode": "human", "max_episode_steps": -1}
-        shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
-        (found,) = resolve_all([agent], every_training=False, **shared)
-        world, player = make_player(found, parse_environment(env, given))
+        arguments = require_arguments("env_kwargs", env_kwargs)
+        arguments |= {"render_mode": "human", "max_episode_steps": -1}
+        loading: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
+        (resolved,) = resolve_all([agent], every_training=False, **loading)
+        world, player = make_player(resolved, parse_environment(env, arguments))
         with closing(world):
             for _ in frames(world, player, seed):
                 pass
