@@ -87,11 +87,10 @@ def listed(heading: str, listing: Listing) -> list[str]:
 
 def commands() -> list[str]:
     """Return a line on every command."""
-    from mmc_gym import cli
+    from mmc_gym.cli import COMMANDS
 
-    names = re.findall(r"^@_command\ndef (\w+)", inspect.getsource(cli), re.MULTILINE)
-    docs = {name: inspect.getdoc(getattr(cli, name)) or "" for name in names}
-    return [f"- `mmc-gym {name.strip('_')}`: {text.splitlines()[0]}" for name, text in docs.items()]
+    docs = {name: inspect.getdoc(command) or "" for name, command in COMMANDS.items()}
+    return [f"- `mmc-gym {name}`: {text.splitlines()[0]}" for name, text in docs.items()]
 
 
 if __name__ == "__main__":

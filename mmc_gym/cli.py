@@ -35,7 +35,6 @@ DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone pri
 TRACEBACK = "MMC_GYM_TRACEBACK"
 _PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
-_commands: dict[str, Callable[..., None]] = {}
 _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
     *("ppo", "sac", "tqc-her", "random"),
@@ -43,23 +42,17 @@ _COMPARED = (
 _WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 
-def _command(function: Callable[..., None]) -> Callable[..., None]:
-    _commands[function.__name__.rstrip("_")] = function
-    return function
-
-
 def _check_words(arguments: list[str]) -> None:
     """Raise a `UserError` for a misspelt command or option: tyro would list all options of all."""
     if not arguments or arguments[0].startswith("-"):
         return
     command, *others = arguments
-    if command not in _commands:
-        raise unknown("command", command, _commands)
-    taken = inspect.signature(_commands[command]).parameters
-    shared = fields(taken["more"].default) if "more" in taken else ()
-    names = [name for name in taken if name != "more"][command in _WITH_ARGUMENT :]
-    names += ["import" if one.name == "imports" else one.name for one in shared]
-    known = [f"--{name.replace('_', '-')}" for name in names]
+    if command not in COMMANDS:
+        raise unknown("command", command, COMMANDS)
+    *parameters, more = inspect.signature(COMMANDS[command]).parameters.values()
+    names = [parameter.name for parameter in parameters][command in _WITH_ARGUMENT :]
+    names += [field.name for field in fields(more.default)]
+    known = [f"--{'import' if name == 'imports' else name.replace('_', '-')}" for name in names]
     if others and not others[0].startswith("-") and command not in _WITH_ARGUMENT:
         also = f"; did you mean --agents {others[0]}?" if "--agents" in known else ""
         raise UserError(f"{command} must be followed by options, got {others[0]!r}{also}")
@@ -116,16 +109,16 @@ class EnvironmentOptions(ImportOptions):
     @override
     def load(self) -> dict[str, Any]:
         super().load()
-        found: dict[str, Any] = {}
+        env_kwargs: dict[str, Any] = {}
         for text in self.env_kwargs:
             name, _, value = text.partition("=")
             require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
-            require(name not in found, "env-kwargs", text, f"given once for {name}")
+            require(name not in env_kwargs, "env-kwargs", text, f"given once for {name}")
             try:
-                found[name] = read_yaml(value)  # runs no code
+                env_kwargs[name] = read_yaml(value)  # runs no code
             except ValueError as error:
                 raise UserError(f"env-kwargs must be {_PAIR}, got {shown(text)}: {error}") from None
-        return {"env_kwargs": found}
+        return {"env_kwargs": env_kwargs}
 
 
 @dataclass(frozen=True)
@@ -143,14 +136,13 @@ class PlayOptions(EnvironmentOptions):
 
     @override
     def load(self) -> dict[str, Any]:
-        names = ("allow_pickle", "wrapper", "statistics")
-        return {**super().load(), **{name: getattr(self, name) for name in names}}
+        loading = {"allow_pickle": self.allow_pickle, "wrapper": self.wrapper}
+        return {**super().load(), **loading, "statistics": self.statistics}
 
 
 NO_IMPORTS, IN_ENVIRONMENT, PLAYED = ImportOptions(), EnvironmentOptions(), PlayOptions()
 
 
-@_command
 def compare(
     agents: Names = _COMPARED,
     scenarios: Names = ("random",),
@@ -179,18 +171,17 @@ def compare(
     from mmc_gym.benchmark import compare
 
     shared = {**more.load(), "interface": interface, "focus": focus, "explain": explain}
-    env = _one("scenarios", scenarios, "; benchmark plays several")
+    env = _only("scenarios", scenarios, "; benchmark plays several")
     compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
 
-def _one(option: str, values: tuple[str, ...], also: str = "") -> str:
+def _only(option: str, values: tuple[str, ...], also: str = "") -> str:
     """Return the only value of an option."""
     if len(values) != 1:
         raise UserError(f"--{option} must be exactly one here{also}, got {' '.join(values)}")
     return values[0]
 
 
-@_command
 def benchmark(
     agents: Names = (),
     scenarios: Names = (),
@@ -224,18 +215,19 @@ def benchmark(
 
     shared = {**more.load(), "interface": interface}
     failed: list[str] = []
-    ranked = [name for name, one in AGENTS.items() if one.is_ranked]
+    ranked = [name for name, entry in AGENTS.items() if entry.is_ranked]
     agents = agents or (*ranked, REFERENCE)
     if protocol:
-        cards = (one.card for one in resolve_all(agents, allow_pickle=shared["allow_pickle"]))
+        resolved_agents = resolve_all(agents, allow_pickle=shared["allow_pickle"])
+        cards = [agent.card for agent in resolved_agents]
         scenarios = (*scenarios, *generalisation.protocol(cards))
     with progress_bar() as bar:
         task = bar.add_task("cells")
 
         def on_progress(progress: runner.Progress) -> None:
             bar.update(task, completed=progress.done, total=progress.total)
-            if one := progress.failed:
-                failed.append(f"{one.agent} in {one.environment}: {one.reason}")
+            if cell := progress.failed:
+                failed.append(f"{cell.agent} in {cell.environment}: {cell.reason}")
 
         shared |= {"jobs": jobs, "cluster": cluster, "on_progress": on_progress}
         runner.benchmark(agents, out, scenarios, episodes, seed, **shared)
@@ -246,7 +238,6 @@ def benchmark(
         raise SystemExit(1)
 
 
-@_command
 def adapt(
     experiment: Annotated[Positional[str], _arg("NAME")] = "rotation-30",
     agents: Names = ("mmc-body", "mmc", "ppo", "ppo-memory"),
@@ -296,7 +287,6 @@ def adapt(
     print_written(make_console(), result.write(out))
 
 
-@_command
 def report(
     store: Positional[Place] = Path("runs/benchmark"),
     out: OtherPlace = None,
@@ -323,7 +313,6 @@ def report(
     print(f"wrote {file}")
 
 
-@_command
 def train(
     name: Annotated[Positional[str], _arg("NAME")] = "",
     env: Text = None,
@@ -356,7 +345,7 @@ def train(
         entry, changes = parse_parts(on)
         accepted = "perturbations; a task is named by --env"
         require(bool(changes) and entry.name == "random", "on", on, accepted)
-        shared["env_kwargs"]["perturbations"] = [one.name for one in changes]
+        shared["env_kwargs"]["perturbations"] = [change.name for change in changes]
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
     from mmc_gym.training import training
 
@@ -385,7 +374,6 @@ def train(
     )
 
 
-@_command
 def play(
     agents: Names = ("mmc",),
     scenarios: Names = ("random",),
@@ -405,10 +393,9 @@ def play(
     from mmc_gym.record import play
 
     shared = more.load()
-    play(_one("agents", agents), _one("scenarios", scenarios), seed, **shared)
+    play(_only("agents", agents), _only("scenarios", scenarios), seed, **shared)
 
 
-@_command
 def list_(
     what: Positional[
         Literal["agents", "tasks", "perturbations", "scenarios", "experiments", "measures"]
@@ -423,11 +410,10 @@ def list_(
     from mmc_gym import listing
 
     more.load()
-    found: listing.Listing = getattr(listing, f"list_{what}")()
-    print_table(make_console(), found.table)
+    names: listing.Listing = getattr(listing, f"list_{what}")()
+    print_table(make_console(), names.table)
 
 
-@_command
 def show(
     scenario: Annotated[Positional[str], _arg("NAME")],
     out: OtherPlace = None,
@@ -450,7 +436,6 @@ def show(
         print(f"wrote {picture_draws(scenario, out)}")
 
 
-@_command
 def record(
     agents: Names = ("mmc",),
     scenarios: Names = ("random",),
@@ -475,11 +460,17 @@ def record(
     from mmc_gym.record import record
 
     shared = {**more.load(), "interface": interface, "every": every}
-    env = _one("scenarios", scenarios)
+    env = _only("scenarios", scenarios)
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes * len(agents))
         record(out, agents, env, episodes, seed, lambda _: bar.advance(task), **shared)
     print(f"wrote {out}")
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    command.__name__.rstrip("_"): command
+    for command in (compare, benchmark, adapt, report, train, play, list_, show, record)
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -518,7 +509,7 @@ def _run(arguments: list[str]) -> None:
     with warnings.catch_warnings():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
         tyro.extras.subcommand_cli_from_dict(
-            _commands, prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config
+            COMMANDS, prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config
         )
 
 

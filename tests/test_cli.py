@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from mmc_gym._grid import CellError
-from mmc_gym.cli import _commands, main
+from mmc_gym.cli import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 ENV_KWARGS = ["compare", "--agents", "mmc", "--env-kwargs"]
@@ -123,7 +123,7 @@ def test_mistakes_end_with_one_line_that_says_what_was_meant(arguments, message,
     assert message in line
 
 
-@pytest.mark.parametrize("command", _commands)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_a_command_fits_a_screen_and_names_no_empty_default(command, capsys):
     with pytest.raises(SystemExit):
         main([command, "--help"])
