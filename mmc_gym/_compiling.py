@@ -7,6 +7,7 @@ changes: functions that call each other belong in one file, but for `sine_cosine
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 """Compile a function that others in its file call; a loop is no vector if it holds a call to it."""
 
 
-def compiled(function: Any) -> Any:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that Python calls, at the first call, and keep the result on disk."""
     try:
         dispatcher = numba.njit(cache=True, nogil=True, error_model="numpy")(function)

@@ -113,17 +113,17 @@ def require_number(
     return number
 
 
-def require_finite(name: str, value: Any) -> float:
+def require_finite(name: str, value: object) -> float:
     """Return a finite number."""
     return require_number(name, value, "a finite number")
 
 
-def require_positive(name: str, value: Any) -> float:
+def require_positive(name: str, value: object) -> float:
     """Return a positive, finite number."""
     return require_number(name, value, "positive and finite", lambda number: 0 < number < math.inf)
 
 
-def require_between(least: float, most: float, **values: Any) -> None:
+def require_between(least: float, most: float, **values: object) -> None:
     """Check that all values are numbers from `least` to `most`."""
     for name, value in values.items():
         accepted = f"from {least:g} to {most:g}"
@@ -138,7 +138,7 @@ def require_whole(name: str, value: Any, least: int = 1, most: float = _MOST) ->
 
 
 def require_numbers(
-    name: str, value: Any, accepted: str, is_accepted: Callable[[Numbers], bool]
+    name: str, value: object, accepted: str, is_accepted: Callable[[Numbers], bool]
 ) -> Numbers:
     """Return a sequence or array of numbers that `is_accepted`, as a tuple of floats."""
     array = _array(value)
@@ -149,7 +149,7 @@ def require_numbers(
 
 def require_rows(
     name: str,
-    value: Any,
+    value: object,
     accepted: str,
     is_accepted: Callable[[Numbers], bool],
     counts: Container[int] = range(sys.maxsize),
@@ -163,7 +163,7 @@ def require_rows(
 
 
 def require_array(
-    name: str, value: Any, accepted: str = "an array of numbers"
+    name: str, value: object, accepted: str = "an array of numbers"
 ) -> NDArray[np.floating]:
     """Return an array of floats: float32 stays float32, everything else becomes float64."""
     array = _array(value)
@@ -171,7 +171,7 @@ def require_array(
     return array if array.dtype == np.float32 else array.astype(np.float64)
 
 
-def require_floats(name: str, value: Any, trailing: tuple[int, ...]) -> NDArray[np.floating]:
+def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArray[np.floating]:
     """Return a finite array of floats, as `require_array` does, whose last axes are `trailing`."""
     array = require_array(name, value)
     if array.shape[max(0, array.ndim - len(trailing)) :] != trailing:  # to tell it takes a while
@@ -181,7 +181,7 @@ def require_floats(name: str, value: Any, trailing: tuple[int, ...]) -> NDArray[
     return array
 
 
-def _array(value: Any) -> NDArray[Any]:
+def _array(value: object) -> NDArray[Any]:
     """Return a value as an array of numbers, or an array of None if it is not numeric."""
     try:
         array = np.asarray(value)

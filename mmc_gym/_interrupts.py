@@ -4,13 +4,12 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 is_running = False  # a command, which has things to put away
 has_come = False  # Ctrl-C, which an import may turn into another error
 
 
-def _interrupt(*_: Any) -> None:
+def _interrupt(*_: object) -> None:
     global has_come
     has_come = True
     if is_running:

@@ -26,6 +26,7 @@ from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.episodes import EXAMPLES
 from mmc_gym.envs.render import View, open_display
 from mmc_gym.envs.scenarios import EnvLike, parse_environment, parse_scenario
+from mmc_gym.interface import InterfaceLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 Picture = NDArray[np.uint8]
@@ -43,7 +44,7 @@ def record(
     on_episode: Callable[[Episode], None] | None = None,
     *,
     env_kwargs: Mapping[str, Any] | None = None,
-    interface: Any = None,
+    interface: InterfaceLike | None = None,
     allow_pickle: bool = False,
     wrapper: Wrappers = (),
     statistics: Statistics = (),
@@ -164,7 +165,7 @@ def mp4(pictures: Iterable[Picture], frame_rate: float) -> bytes:
         return path.read_bytes()
 
 
-def _require_ffmpeg() -> Any:
+def _require_ffmpeg() -> Callable[..., Any]:
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:
