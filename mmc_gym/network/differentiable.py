@@ -113,11 +113,12 @@ class TorchNetwork(torch.nn.Module):
             setattr(self, name, torch.nn.Parameter(value, requires_grad=False))
         triangles = tensor(chain.triangle_products(self.segment_count))
         self.register_buffer("triangles", triangles, persistent=False)
-        if isinstance(given := network.normalizer, LearnedNormalizer):
-            self.normalizer = _Learned(given, tensor)
+        normalizer = network.normalizer
+        if isinstance(normalizer, LearnedNormalizer):
+            self.normalizer = _Learned(normalizer, tensor)
         else:
             accepted = "an EuclideanNormalizer or LearnedNormalizer"
-            require(type(given) is EuclideanNormalizer, "normalizer", given, accepted)
+            require(type(normalizer) is EuclideanNormalizer, "normalizer", normalizer, accepted)
             self.normalizer = _Euclidean()
 
     def to_numpy(self) -> MMCNetwork:
@@ -173,8 +174,8 @@ class TorchNetwork(torch.nn.Module):
         """
         require_whole("iterations", iterations, least=0)
         accepted = "a TorchState of a network of this kind"
-        fine = isinstance(state, TorchState) and len(state.values) == self.row_count
-        require(fine and state.segment_count == self.segment_count, "state", state, accepted)
+        has_rows = isinstance(state, TorchState) and len(state.values) == self.row_count
+        require(has_rows and state.segment_count == self.segment_count, "state", state, accepted)
         held = held_rows(self, "clamps", {} if clamps is None else clamps, self._tensor)
         begin = state.values.movedim((0, 1), (-2, -1))
         shapes = [begin.shape[:-2], *(value.shape[:-1] for value in held.values())]
@@ -185,7 +186,7 @@ class TorchNetwork(torch.nn.Module):
         values = begin.expand(*batch, -1, -1).movedim((-2, -1), (0, 1))
         held = {row: value.expand(*batch, -1).movedim(-1, 0) for row, value in held.items()}
         values = self._bend_where_stuck(values, held)
-        values = torch.stack([held.get(row, one) for row, one in enumerate(values.unbind())])
+        values = torch.stack([held.get(row, free) for row, free in enumerate(values.unbind())])
         flat = values.view(self.row_count, 2, prod(batch))
         rows = [row in held for row in range(self.row_count)]
         is_held = torch.tensor(rows, device=flat.device)[:, None, None]
@@ -268,5 +269,6 @@ class _Learned(torch.nn.Module):
         return values.movedim(-1, 1) * lengths[:, None]
 
     def to_numpy(self) -> LearnedNormalizer:
-        weights, biases = ([one.tolist() for one in of] for of in (self.weights, self.biases))
-        return LearnedNormalizer(weights, biases)
+        return LearnedNormalizer(
+            [weight.tolist() for weight in self.weights], [bias.tolist() for bias in self.biases]
+        )

@@ -136,7 +136,7 @@ class _RigidBodies(NamedTuple):
 
     starts: NDArray[np.bool_]  #: whether each segment is the first of its body, (N, batch)
     is_tied: NDArray[np.bool_]  #: whether it is tied to the base, (N, batch)
-    own: NDArray[Any]  #: ℓ_i R(c_i), (N, batch)
+    segments: NDArray[Any]  #: ℓ_i R(c_i), (N, batch)
     span: NDArray[Any]  #: Σ ℓ_i R(c_i) of each segment's body, (N, batch)
     weight: Floats  #: of the segments and the span together, (N, batch)
 
@@ -152,20 +152,21 @@ class _RigidBodies(NamedTuple):
         for joint in range(1, len(locked)):
             turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
             is_tied[joint] &= is_tied[joint - 1]
-        own = lengths * turned
-        span = _over_bodies(starts, own)
+        segments = lengths * turned
+        span = _over_bodies(starts, segments)
         squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
-        return cls(starts, is_tied, own, span, _over_bodies(starts, squares) + np.abs(span) ** 2)
+        weight = _over_bodies(starts, squares) + np.abs(span) ** 2
+        return cls(starts, is_tied, segments, span, weight)
 
     def nearest(self, segments: Floats, normalizer: Normalizer) -> Floats:
         """Return the possible segments nearest to proposed ones, (N, 2, batch)."""
         proposed = segments[:, 0] + 1j * segments[:, 1]
-        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * self.own.conj() * proposed)
+        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * self.segments.conj() * proposed)
         fit = fit + self.span.conj() * _over_bodies(self.starts, proposed)
         direction = np.stack([fit.real, fit.imag], axis=1) / self.weight[:, None]
         normalizer.normalize_rows(direction, np.ones((len(fit), 1), dtype=direction.dtype))
         turn = np.where(self.is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
-        placed = self.own * turn
+        placed = self.segments * turn
         return np.stack([placed.real, placed.imag], axis=1)
 
 

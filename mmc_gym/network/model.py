@@ -175,7 +175,7 @@ class MMCNetwork:
             "segment_lengths",
             self.segment_lengths,
             accepted,
-            lambda numbers: len(numbers) >= 2 and all(0 < one < np.inf for one in numbers),
+            lambda numbers: len(numbers) >= 2 and all(0 < length < np.inf for length in numbers),
         )
         object.__setattr__(self, "segment_lengths", lengths)
         half = (len(lengths) + 1) / 2
@@ -360,6 +360,6 @@ def _are_in_line(first: Floats, others: Floats, tolerance: float) -> NDArray[np.
 
 def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     """Broadcast the batch axes of values (rows, axes, ...) to `batch`."""
-    rows, axes, *own = values.shape
-    missing = (1,) * (len(batch) - len(own))
-    return np.broadcast_to(values.reshape(rows, axes, *missing, *own), (rows, axes, *batch))
+    rows, axes, *present = values.shape
+    missing = (1,) * (len(batch) - len(present))
+    return np.broadcast_to(values.reshape(rows, axes, *missing, *present), (rows, axes, *batch))

@@ -118,14 +118,16 @@ class LearnedNormalizer(Normalizer):
 
         Weights are (outputs, inputs), biases (outputs,).
         """
-        self.weights = [np.array(require_array("weights", each), np.float64) for each in weights]
-        self.biases = [np.array(require_array("biases", each), np.float64) for each in biases]
+        self.weights = [np.array(require_array("weights", layer), np.float64) for layer in weights]
+        self.biases = [np.array(require_array("biases", layer), np.float64) for layer in biases]
         self.card = dict(card or {})
         shapes = [weight.shape for weight in self.weights]
         bias_shapes = [bias.shape for bias in self.biases]
         widths = [2, *(bias.size for bias in self.biases)]
-        fine = bool(shapes) and widths[-1] == 2 and all(len(shape) == 1 for shape in bias_shapes)
-        if not fine or shapes != [*zip(widths[1:], widths[:-1], strict=True)]:
+        ends_in_2 = bool(shapes) and widths[-1] == 2
+        are_vectors = all(len(shape) == 1 for shape in bias_shapes)
+        are_layers = shapes == [*zip(widths[1:], widths[:-1], strict=True)]
+        if not (ends_in_2 and are_vectors and are_layers):
             raise UserError(
                 f"layers must lead from 2 inputs to 2 outputs, got weights of shapes {shapes} "
                 f"and biases of shapes {bias_shapes}"

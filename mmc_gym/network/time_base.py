@@ -70,8 +70,8 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """
     duration, number = np.asarray(duration, np.float64), np.asarray(iteration, np.float64)
-    fine = bool(((duration > 0) & (duration < np.inf)).all())
-    require(fine, "duration", duration.tolist(), "positive and finite")
+    are_durations = bool(((duration > 0) & (duration < np.inf)).all())
+    require(are_durations, "duration", duration.tolist(), "positive and finite")
     remaining = 1 - minimum_jerk((number - 1) / duration)
     covered = minimum_jerk(number / duration) - minimum_jerk((number - 1) / duration)
     return np.divide(covered, remaining, out=np.ones_like(remaining), where=remaining > 0)
@@ -92,21 +92,21 @@ def timed_step(
     >>> state.end_effector.round(2).tolist()
     [-0.98, 1.5]
     """
-    fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
-    require(fine, "network", network, "kinematic and synchronous to follow a time base")
+    is_plain = network.dynamics == "kinematic" and network.schedule == "synchronous"
+    require(is_plain, "network", network, "kinematic and synchronous to follow a time base")
     state = network.hold(state, network.inverse(target))
     count, batch = network.segment_count, state.batch_shape
     values = state.values.reshape(len(state.values), 2, -1)
     accepted = f"between 0 and 1, for all arms or each, {batch}"
     shares = require_array("share", share, accepted).astype(values.dtype)
-    fine = shares.shape in ((), batch) and bool(((shares >= 0) & (shares <= 1)).all())
-    require(fine, "share", share, accepted)
+    are_shares = shares.shape in ((), batch) and bool(((shares >= 0) & (shares <= 1)).all())
+    require(are_shares, "share", share, accepted)
     shares = np.broadcast_to(shares, batch).reshape(-1)
     vectors, products, _, change = matrices_of(values)
     product(-_coupling(count).astype(values.dtype), vectors, products)  # the change is −∂₂∂₂ᵀ v
     lengths = np.array(network.segment_lengths, dtype=values.dtype)[:, None]
     hand = values[:count].sum(axis=0)
-    wanted = shares * np.hypot(*(values[-1] - hand))
+    step_length = shares * np.hypot(*(values[-1] - hand))
 
     def segments_with(gain: Floats) -> Floats:
         segments: Floats = values[:count] + gain * change[:count]
@@ -117,34 +117,34 @@ def timed_step(
         return np.hypot(*(segments_with(gain).sum(axis=0) - hand))
 
     largest = 2 / (count + 3)
-    gain = _solve(hand_step, wanted, np.minimum(shares / 2, largest), largest)
+    gain = _solve(hand_step, step_length, np.minimum(shares / 2, largest), largest)
     following = values + gain * change
     following[:count] = segments_with(gain)
     return MMCState(following.reshape(state.values.shape), count)
 
 
 def _solve(
-    function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
+    function: Callable[[Floats], Floats], goal: Floats, first: Floats, largest: float
 ) -> Floats:
-    """Return the argument in [0, largest] at which an increasing function has the wanted value.
+    """Return the argument in [0, largest] at which an increasing function has the value `goal`.
 
     The function is 0 at 0.  As long as all its values are too small, the next guess is proportional
-    to what is wanted.  Then it is on the line between the best points below and above.
+    to the goal.  Then it is on the line between the best points below and above.
     """
-    tiny = np.finfo(wanted.dtype).tiny
-    below, value_below = np.zeros_like(wanted), np.zeros_like(wanted)
-    above, value_above = np.full_like(wanted, largest), np.full_like(wanted, np.inf)
+    tiny = np.finfo(goal.dtype).tiny
+    below, value_below = np.zeros_like(goal), np.zeros_like(goal)
+    above, value_above = np.full_like(goal, largest), np.full_like(goal, np.inf)
     guess = first
     for _ in range(CORRECTIONS):
         value = function(guess)
-        is_small = value < wanted
+        is_small = value < goal
         below, value_below = np.where(is_small, [guess, value], [below, value_below])
         above, value_above = np.where(is_small, [above, value_above], [guess, value])
         is_bracketed = np.isfinite(value_above)
         rise = np.maximum(np.where(is_bracketed, value_above - value_below, 1.0), tiny)
-        on_line = below + (wanted - value_below) * (above - below) / rise
-        least = np.maximum(wanted * 1e-6, tiny)  # the quotient is 1e6 at most, and never 0/0
-        proportional = guess * (wanted / np.maximum(value, least))
+        on_line = below + (goal - value_below) * (above - below) / rise
+        least = np.maximum(goal * 1e-6, tiny)  # the quotient is 1e6 at most, and never 0/0
+        proportional = guess * (goal / np.maximum(value, least))
         guess = np.clip(np.where(is_bracketed, on_line, proportional), below, above)
     return guess
 
