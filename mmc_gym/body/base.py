@@ -188,8 +188,8 @@ class ArmBatch(ABC):
         batch was built with `others`, new `parameters` are taken: `ArmColumns` of k arms, or a
         sequence of k.  An arm with `joint_limits` must keep some, and one without gets none.
         """
-        chosen = np.arange(self._count) if arms is None else self._indices(arms)
-        shape = len(chosen), self._shape[1]
+        indices = np.arange(self._count) if arms is None else self._indices(arms)
+        shape = len(indices), self._shape[1]
         postures = _table("joint_angles", joint_angles, shape)
         speeds = np.zeros(shape) if joint_velocities is None else joint_velocities
         speeds = _table("joint_velocities", speeds, shape)
@@ -200,12 +200,12 @@ class ArmBatch(ABC):
             accepted = "left out for arms without others"
             require(bool(self._others), "parameters", parameters, accepted)
             if isinstance(parameters, ArmParameters):
-                new = [(chosen, parameters)]
+                new = [(indices, parameters)]
             else:
-                new = [(chosen[[row]], p) for row, p in enumerate(parameters)]
-        for some, p in new:
-            self._lockable[some] = ArmColumns.of(p).lockable(len(some))
-        self._place(chosen, postures, speeds, new)
+                new = [(indices[[row]], p) for row, p in enumerate(parameters)]
+        for changed_arms, p in new:
+            self._lockable[changed_arms] = ArmColumns.of(p).lockable(len(changed_arms))
+        self._place(indices, postures, speeds, new)
 
     def can_become(self, arm: int, parameters: ArmParameters) -> bool:
         """Return whether a reset can give an arm these parameters, which the engine accepts."""
@@ -302,12 +302,12 @@ def _checked(parameters: ArmParameters | None) -> ArmParameters:
         field = np.array(p.force_field)
         accepted = f"at most {p.strongest_field:.4g} mass/s strong in substeps of {p.substep:g} s"
         accepted += " (shorter ones or a heavier last segment allow more)"
-        fine = bool(np.linalg.norm(field, 2) <= p.strongest_field)
-        require(fine, "force_field", p.force_field, accepted)
+        is_followed = bool(np.linalg.norm(field, 2) <= p.strongest_field)
+        require(is_followed, "force_field", p.force_field, accepted)
         accepted = f"one that pushes along the movement by at most {p.strongest_push:.4g} mass/s"
         accepted += ", or servos of this torque_limit cannot stop the arm"
-        fine = bool(np.linalg.eigvalsh(field + field.T).max() <= 2 * p.strongest_push)
-        require(fine, "force_field", p.force_field, accepted)
+        is_stopped = bool(np.linalg.eigvalsh(field + field.T).max() <= 2 * p.strongest_push)
+        require(is_stopped, "force_field", p.force_field, accepted)
     return p
 
 

@@ -231,32 +231,32 @@ class ArmColumns(ArmParameters):
     @classmethod
     def of(cls, arm: ArmParameters) -> ArmColumns:
         """Return the parameters of arms that are all equal to `arm`."""
-        return cls(**{one.name: getattr(arm, one.name) for one in fields(ArmParameters)})
+        return cls(**{field.name: getattr(arm, field.name) for field in fields(ArmParameters)})
 
     def __post_init__(self) -> None:
         """Leave the numbers as they are."""
 
     def lockable(self, count: int) -> NDArray[np.bool_]:
         """Return a mask of the lockable joints of `count` arms, (count, N)."""
-        found = np.zeros((count, len(self.segment_lengths)), dtype=bool)
+        mask = np.zeros((count, len(self.segment_lengths)), dtype=bool)
         for joint in self.lockable_joints:
             joints = np.broadcast_to(joint, count)
             arms = np.flatnonzero(joints == joints)  # NaN is none
-            found[arms, joints[arms].astype(np.intp)] = True
-        return found
+            mask[arms, joints[arms].astype(np.intp)] = True
+        return mask
 
     def rows(self, count: int) -> list[ArmColumns]:
         """Return the parameters of each of `count` arms, as numbers."""
-        values = {one.name: getattr(self, one.name) for one in fields(ArmParameters)}
-        vary = {name: value for name, value in values.items() if _has_arrays(value)}
+        values = {field.name: getattr(self, field.name) for field in fields(ArmParameters)}
+        columns = {name: value for name, value in values.items() if _has_arrays(value)}
         rows = []
         for arm in range(count):
             row = copy(self)
-            for name, value in vary.items():
-                own = _of_arm(value, arm)
+            for name, column in columns.items():
+                value = _of_arm(column, arm)
                 if name == "lockable_joints":
-                    own = tuple(int(joint) for joint in own if not math.isnan(joint))
-                object.__setattr__(row, name, own)
+                    value = tuple(int(joint) for joint in value if not math.isnan(joint))
+                object.__setattr__(row, name, value)
             rows.append(row)
         return rows
 
@@ -277,7 +277,7 @@ def _has_arrays(value: Any) -> bool:
 
 def _of_arm(value: Any, arm: int) -> Any:
     if type(value) is tuple:
-        return tuple(_of_arm(one, arm) for one in value)
+        return tuple(_of_arm(part, arm) for part in value)
     if not isinstance(value, np.ndarray):
         return value
     return value[arm] if value.dtype == object else value[arm].item()  # obstacles are tuples

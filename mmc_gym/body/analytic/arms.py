@@ -57,7 +57,7 @@ def _make_records(segments: int, count: int) -> tuple[Records, Records, Records]
     names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
     shown = np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
     names = (
-        "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
+        "sine cosine free_x free_y demand turn lowest highest stop_above stop_below load_x load_y "
         "needed bound moment_x moment_y right inverse excess"
     )
     fields = _fields(names, segments, lanes)
@@ -165,8 +165,8 @@ class AnalyticArmBatch(ArmBatch):
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters) -> None:
-        for some, parameters in new:
-            self._load(parameters, some)
+        for changed_arms, parameters in new:
+            self._load(parameters, changed_arms)
         kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override

@@ -58,13 +58,13 @@ def _between(absolute, i, k):
 
 
 @compiled
-def place(state, shown, chain, no_work, chosen, postures, speeds):
-    """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
+def place(state, shown, chain, no_work, indices, postures, speeds):
+    """Place the arms of these indices; their servos hold, stop the joints or are slack."""
     works = np.zeros(1, no_work.dtype)
     segments, lanes = state[0].angle.shape
     is_position, is_torque = chain[0].is_position > 0.0, chain[0].is_torque > 0.0
-    for row in range(chosen.shape[0]):
-        block, k = chosen[row] // lanes, chosen[row] % lanes
+    for row in range(indices.shape[0]):
+        block, k = indices[row] // lanes, indices[row] % lanes
         arms, c = state[block], chain[min(block, chain.shape[0] - 1)]
         angle = speed = 0.0
         for i in range(segments):
@@ -84,7 +84,7 @@ def place(state, shown, chain, no_work, chosen, postures, speeds):
                 arms.asked[i, k] = min(max(postures[row, i], least), most)
             else:
                 arms.asked[i, k] = _between(arms.angle, i, k)
-    for block in np.unique(chosen // lanes):
+    for block in np.unique(indices // lanes):
         work = works[0]  # here, because a record does not keep its array alive
         _look(state[block], work, lanes)
         c = chain[min(block, chain.shape[0] - 1)]
@@ -200,7 +200,7 @@ def _push(arms, work, chain, lanes):
     work.push_turn[:] = 0.0
     for k in range(lanes):
         for i in range(segments):
-            work.wanted[i, k] = _between(arms.speed, i, k)
+            work.demand[i, k] = _between(arms.speed, i, k)
     _need(arms, work, chain, lanes)
     for k in range(lanes):
         reach = chain.length[segments - 1, k] - chain.centre[segments - 1, k]
@@ -224,8 +224,8 @@ def _push(arms, work, chain, lanes):
             other += work.load_y[i, k] * work.excess[i, k]
             velocity_y -= work.needed[i, k] * work.excess[i, k]
         for i in range(segments):
-            velocity_x += work.wanted[i, k] * work.load_x[i, k]
-            velocity_y += work.wanted[i, k] * work.load_y[i, k]
+            velocity_x += work.demand[i, k] * work.load_x[i, k]
+            velocity_y += work.demand[i, k] * work.load_y[i, k]
         a = 1.0 - half * (xx * along + xy * across)
         b = -half * (xx * across + xy * other)
         c = -half * (yx * along + yy * across)
@@ -258,7 +258,7 @@ def _let_yield(arms, work, impulse, k):
 
 @inner
 def _ask(arms, work, chain, lanes):
-    """Compute the speed each joint asks for, its range of impulses, and what its stop allows."""
+    """Compute the speed each joint demands, its range of impulses, and what its stop allows."""
     stop, rate, is_position = chain.stop_gain, 1.0 / chain.substep, chain.is_position > 0.0
     for k in range(lanes):
         fastest, gain = chain.speed_limit[k], chain.gain[k]
@@ -266,27 +266,27 @@ def _ask(arms, work, chain, lanes):
             least, most = chain.lowest_angle[i, k], chain.highest_angle[i, k]
             angle = _between(arms.angle, i, k)
             asked, limit, held = arms.asked[i, k], arms.limit[i, k], arms.held[i, k]
-            wanted = gain * (asked - angle) if is_position else asked
-            wanted = fastest if wanted > fastest else wanted
-            wanted = -fastest if wanted < -fastest else wanted
+            demand = gain * (asked - angle) if is_position else asked
+            demand = fastest if demand > fastest else demand
+            demand = -fastest if demand < -fastest else demand
             above = stop * (most - angle) if angle > most else np.inf
             below = stop * (least - angle) if angle < least else -np.inf
-            lowest = -np.inf if wanted > above else -limit
-            highest = np.inf if wanted < below else limit
-            wanted = above if wanted > above else wanted
-            wanted = below if wanted < below else wanted
+            lowest = -np.inf if demand > above else -limit
+            highest = np.inf if demand < below else limit
+            demand = above if demand > above else demand
+            demand = below if demand < below else demand
             locked = held == held
-            wanted = rate * (held - angle) if locked else wanted
-            work.wanted[i, k] = wanted
+            demand = rate * (held - angle) if locked else demand
+            work.demand[i, k] = demand
             work.lowest[i, k] = -np.inf if locked else lowest
             work.highest[i, k] = np.inf if locked else highest
-            work.stop_above[i, k] = above - wanted
-            work.stop_below[i, k] = below - wanted
+            work.stop_above[i, k] = above - demand
+            work.stop_below[i, k] = below - demand
 
 
 @inner
 def _need(arms, work, chain, lanes):
-    """Compute the impulses that give the wanted speeds; return whether any is out of bounds."""
+    """Compute the impulses that give the speeds demanded; return whether any is out of bounds."""
     segments = arms.angle.shape[0]
     last = segments - 1
     for k in range(lanes):
@@ -294,7 +294,7 @@ def _need(arms, work, chain, lanes):
         x = y = turn = 0.0
         for i in range(segments):
             length, mass, centre = chain.length[i, k], chain.mass[i, k], chain.centre[i, k]
-            turn = turn + work.wanted[i, k]
+            turn = turn + work.demand[i, k]
             change_x = -work.sine[i, k] * turn - work.free_x[i, k]
             change_y = work.cosine[i, k] * turn - work.free_y[i, k]
             work.load_x[i, k] = mass * ((x + centre * change_x) - fall_x)
@@ -329,7 +329,7 @@ def _turn(arms, work, lanes):
     for k in range(lanes):
         speed = 0.0
         for i in range(arms.speed.shape[0]):
-            speed = speed + (work.wanted[i, k] + work.excess[i, k])
+            speed = speed + (work.demand[i, k] + work.excess[i, k])
             arms.speed[i, k] = speed
             arms.yields[i, k] = 1.0 if abs(work.bound[i, k]) == 1.0 else 0.0
 
@@ -361,11 +361,11 @@ def _weigh(work, chain, lanes):
         x = y = inertia = beyond = 0.0
         for j in range(segments - 1, -1, -1):
             length, mass, centre = chain.length[j, k], chain.mass[j, k], chain.centre[j, k]
-            own = mass * centre * centre + chain.inertia[j, k] + beyond * length * length
+            alone = mass * centre * centre + chain.inertia[j, k] + beyond * length * length
             moment = mass * centre + beyond * length
             beyond += mass
             cosine, sine = work.cosine[j, k], work.sine[j, k]
-            inertia = (inertia + 2.0 * length * (cosine * x + sine * y)) + own
+            inertia = (inertia + 2.0 * length * (cosine * x + sine * y)) + alone
             x = x + moment * cosine
             y = y + moment * sine
             work.matrix[j, j, k] = inertia
@@ -412,7 +412,7 @@ def _guess(arms, work, chain, lanes):
 
 @inner
 def _limit(work, lanes):
-    """Compute z, each joint's velocity minus the wanted one: `excess`."""
+    """Compute z, each joint's velocity minus the one that it demands: `excess`."""
     segments = work.bound.shape[0]
     for attempt in range(10 * segments + 50):
         # Changing all wrong guesses at once is quick and may cycle; one at a time never does.

@@ -97,8 +97,8 @@ class ArmGroup:
         ]
         self._field: HandField | None = None
         if any(p.force_field is not None for p in every):
-            own = [linkage.field for linkage in self.linkages]
-            self._field = HandField.of(own) if self._may_differ else own[0]
+            fields = [linkage.field for linkage in self.linkages]
+            self._field = HandField.of(fields) if self._may_differ else fields[0]
         if self._is_pulled:
             self._spaces[0].gravity = 0.0, 0.0
             masses = np.array([[rod.mass for rod in p.rods] for p in every])
@@ -210,7 +210,7 @@ class ArmGroup:
         for member, p in zip(members, of_members):
             is_possible = self.is_apart or self.linkages[member].can_become(p)
             require(is_possible, "parameters", p, "such as those of `others`, or between them")
-        kept = []
+        standing = []  # arms that are not built anew, with their Spaces
         for member, p in zip(members, of_members):
             linkage, space = self.linkages[member], self._spaces[member * self.is_apart]
             # Chipmunk remembers contacts, and cannot forget them.
@@ -220,16 +220,16 @@ class ArmGroup:
                 self._spaces[member] = space = make_space(p)
                 self.linkages[member] = Linkage(space, p, self._servo, has_ground=True)
                 continue
-            kept.append((linkage, space))
+            standing.append((linkage, space))
             if parameters is not None:
                 linkage.change(p)
                 if self.is_apart:
                     change_space(space, p)
-        if parameters is not None or len(kept) < len(members):
+        if parameters is not None or len(standing) < len(members):
             self._collect()
-        linkages = [linkage for linkage, _ in kept]
+        linkages = [linkage for linkage, _ in standing]
         if self.is_apart:
-            for linkage, space in kept:
+            for linkage, space in standing:
                 forget_impulses(space, [linkage], linkage.parameters.substep)
         elif len(linkages) == len(self.linkages):
             forget_impulses(self._spaces[0], linkages, self._paces[0][1])
@@ -339,8 +339,8 @@ class PymunkArmBatch(ArmBatch):
             else:
                 self._simulate(group)
         self._commanded = False
-        for each in running:
-            each.result()
+        for simulation in running:
+            simulation.result()
         self._derive(slice(None))
         self._require_control()
 
@@ -366,13 +366,13 @@ class PymunkArmBatch(ArmBatch):
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters) -> None:
         rows: list[ArmColumns] = []
-        for some, parameters in new:
-            rows += ArmColumns.of(parameters).rows(len(some))
-            self._note(some, parameters)
+        for changed_arms, parameters in new:
+            rows += ArmColumns.of(parameters).rows(len(changed_arms))
+            self._note(changed_arms, parameters)
         for group, part, members in self._by_group(arms):
             angles, velocities = postures[part].tolist(), speeds[part].tolist()
-            own = [rows[row] for row in part] if rows else None
-            group.reset(members, angles, velocities, self._scratch, own)
+            of_members = [rows[row] for row in part] if rows else None
+            group.reset(members, angles, velocities, self._scratch, of_members)
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)

@@ -321,7 +321,7 @@ class HandField:
         """Return the field of several arms, each with its own."""
         several = cls.__new__(cls)
         for name in vars(fields[0]):
-            setattr(several, name, np.stack([getattr(one, name) for one in fields]))
+            setattr(several, name, np.stack([getattr(field, name) for field in fields]))
         return several
 
     def impulses(self, motion: Floats, yields: Floats) -> Floats:
