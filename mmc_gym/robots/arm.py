@@ -64,7 +64,7 @@ def require_rotations(name: str, value: Floats) -> None:
         gap = max(*squares, abs(g * g + h * h + i * i - 1), *across)
         turn = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
         if not (gap <= _SQUARE and turn > 0):  # refuses NaN too
-            index = [int(each) for each in np.unravel_index(number, value.shape[:-2])]
+            index = [int(row) for row in np.unravel_index(number, value.shape[:-2])]
             raise UserError(
                 f"{name} must be a rotation, orthogonal within {_SQUARE:g} and of determinant 1, "
                 f"but {name}{index or ''} is off by {gap:.2g} and has the determinant {turn:.4g}"
@@ -216,9 +216,9 @@ class HingeArm:
             axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
             cross = np.cross(axis, np.eye(3)).T  # cross @ x = axis × x
             angle = angles[..., joint, None, None]
-            own = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
-            shift = shift + np.einsum("...ij,...j->...i", turn, point - own @ point)
-            turn = turn @ own
+            hinge = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+            shift = shift + np.einsum("...ij,...j->...i", turn, point - hinge @ point)
+            turn = turn @ hinge
             node = joint_nodes[joint]
             nodes[..., node:, :] = home_nodes[node:] @ np.swapaxes(turn, -1, -2)
             nodes[..., node:, :] += shift[..., None, :]

@@ -43,7 +43,7 @@ class Course(NamedTuple):
 @lru_cache
 def task_type(joints: int, nodes: int) -> np.dtype[Any]:
     """Return the type of a task: limits, places of held nodes, rotation as a turn of the arm."""
-    shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "wanted": (3, 3)}
+    shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "rotation": (3, 3)}
     return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 

@@ -127,9 +127,9 @@ def _compare(block, course):
         for k in range(LANES):
             spin = trace = 0.0
             for f in range(3):
-                trace = trace + block.wanted[a, f, k] * block.turn[a, f, k]
-                spin = spin + block.wanted[e, f, k] * block.turn[c, f, k]
-                spin = spin - block.wanted[c, f, k] * block.turn[e, f, k]
+                trace = trace + block.rotation[a, f, k] * block.turn[a, f, k]
+                spin = spin + block.rotation[e, f, k] * block.turn[c, f, k]
+                spin = spin - block.rotation[c, f, k] * block.turn[e, f, k]
             block.spin[a, k] = 0.5 * spin
             block.sine[k] += 0.25 * spin * spin
             block.cosine[k] += 0.5 * trace

@@ -109,7 +109,8 @@ class HingeSolution:
 
     def __str__(self) -> str:
         """Return in one line how many tasks are solved, and by how much the worst one misses."""
-        far, turn = (np.max(one, initial=0.0) for one in (self.position_error, self.rotation_error))
+        errors = self.position_error, self.rotation_error
+        far, turn = (np.max(error, initial=0.0) for error in errors)
         count = f"{np.sum(self.is_solved)} of {np.size(self.is_solved)} solved"
         return f"{count}; the worst misses by {1e3 * far:.3g} mm and {turn:.3g} rad"
 
@@ -186,20 +187,20 @@ class HingeNetwork:
             places[arm.node_count - 1] = _floats("position", position, (3,))
         turn = np.zeros((3, 3))  # of the whole arm in its zero posture
         if rotation is not None:
-            wanted = _floats("rotation", rotation, (3, 3))
-            require_rotations("rotation", wanted)
-            turn = wanted @ arm.home[:3, :3].T
+            of_hand = _floats("rotation", rotation, (3, 3))
+            require_rotations("rotation", of_hand)
+            turn = of_hand @ arm.home[:3, :3].T
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
         tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
         tasks["low"], tasks["high"] = arm.limits.T
-        tasks["wanted"] = turn
-        for (joint, angle), given in zip(angles.items(), held.values()):
+        tasks["rotation"] = turn
+        for (joint, angle), value in zip(angles.items(), held.values()):
             low, high = arm.limits[joint]
             name = arm.joint_names[joint]
             accepted = f"within the limits of {name!r}, {low:.4g} to {high:.4g} rad"
-            require(bool((angle == angle.clip(low, high)).all()), "held", given, accepted)
+            require(bool((angle == angle.clip(low, high)).all()), "held", value, accepted)
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
             tasks["place"][..., node, :] = place
@@ -268,7 +269,7 @@ class HingeNetwork:
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)
         require_whole("iterations", iterations)
-        far, turn = (require_positive("tolerance", each) for each in tolerance)
+        far, turn = (require_positive("tolerance", bound) for bound in tolerance)
         tasks, first = clamps.tasks, None
         if start is not None:
             first = _floats("start", start, (self.arm.joint_count,))
@@ -324,11 +325,11 @@ class HingeNetwork:
             if start is not None:
                 away = blocks["away"].copy()
                 away[:, 0] *= begin > 0  # what settles from there wins
-            found = self._found(race, blocks, away)
-            found["iterations"] += ends["iterations"][rows]
-            is_better = found["rank"] < ends["rank"][rows]
-            ends["iterations"][rows] = found["iterations"]
-            ends[rows[is_better]] = found[is_better]
+            new_ends = self._ends(race, blocks, away)
+            new_ends["iterations"] += ends["iterations"][rows]
+            is_better = new_ends["rank"] < ends["rank"][rows]
+            ends["iterations"][rows] = new_ends["iterations"]
+            ends[rows[is_better]] = new_ends[is_better]
             left = ends["rank"][rows] >= 0
             if not left.any():
                 break
@@ -336,7 +337,7 @@ class HingeNetwork:
             order = None if order is None else order[left]
         return ends
 
-    def _found(self, race: _Race, blocks: NDArray[Any], away: Floats | None) -> NDArray[Any]:
+    def _ends(self, race: _Race, blocks: NDArray[Any], away: Floats | None) -> NDArray[Any]:
         """Return the best posture of each block: of those that have settled the least `away`."""
         far, turn = np.sqrt(blocks["miss"]), np.zeros_like(blocks["miss"])
         if race.course.weight:
@@ -344,28 +345,28 @@ class HingeNetwork:
         is_settled = (far < race.far) & (turn < race.turn)
         away = blocks["merit"] if away is None else away
         rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
-        every, lane = np.arange(len(blocks)), rank.argmin(axis=1)
-        found = np.empty(len(blocks), self._end_type)
-        found["angle"], found["iterations"] = blocks["angle"][every, :, lane], blocks["iterations"]
+        rows, lane = np.arange(len(blocks)), rank.argmin(axis=1)
+        ends = np.empty(len(blocks), self._end_type)
+        ends["angle"], ends["iterations"] = blocks["angle"][rows, :, lane], blocks["iterations"]
         for name, values in (("far", far), ("turn", turn), ("rank", rank)):
-            found[name] = values[every, lane]
-        return found
+            ends[name] = values[rows, lane]
+        return ends
 
     def _order(self, blocks: NDArray[Any], course: Course, pool: Floats) -> NDArray[np.intp]:
         """Return the order of a pool for each task, those first that lack least, (batch, size)."""
         parts = len(pool) // LANES
-        many = np.repeat(blocks, parts)
-        each = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
-        many["angle"] = np.tile(each, (len(blocks), 1, 1))
-        self._settle(many, course._replace(iterations=0, newton_steps=0, has_start=False))
-        return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
+        tried = np.repeat(blocks, parts)
+        postures = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
+        tried["angle"] = np.tile(postures, (len(blocks), 1, 1))
+        self._settle(tried, course._replace(iterations=0, newton_steps=0, has_start=False))
+        return np.argsort(tried["merit"].reshape(len(blocks), -1), axis=1)
 
     def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
         """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
         blocks = np.zeros(len(tasks), block_type(self.arm.joint_count, self.arm.node_count))
         for name in tasks.dtype.names or ():
-            each = tasks[name]
-            blocks[name] = np.moveaxis(each, 1, -1) if tasks.ndim == 2 else each[..., None]
+            values = tasks[name]
+            blocks[name] = np.moveaxis(values, 1, -1) if tasks.ndim == 2 else values[..., None]
         return blocks
 
     def _settle(self, blocks: NDArray[Any], course: Course) -> None:
