@@ -181,8 +181,8 @@ def _class_from(base: type, *plain: str) -> Any:
     """
 
     def parse(name: Any) -> Any:
-        known: dict[str, Any] = {each: each for each in plain}
-        known |= {each: one for each, one in Recipe.classes.items() if issubclass(one, base)}
+        known: dict[str, Any] = {text: text for text in plain}
+        known |= {text: kind for text, kind in Recipe.classes.items() if issubclass(kind, base)}
         if name is None:
             return None
         if not isinstance(name, str) or name not in known:
@@ -196,7 +196,7 @@ def _class_from(base: type, *plain: str) -> Any:
 def _parse_wrappers(value: Any) -> Any:
     """Read the name of a wrapper, a mapping of the name to its arguments, or a list of these."""
     parts = value if isinstance(value, list) else [value] if value else []
-    pairs = [[*one.items()] if isinstance(one, dict) else [(one, {})] for one in parts]
+    pairs = [[*part.items()] if isinstance(part, dict) else [(part, {})] for part in parts]
     return [pair for part in pairs for pair in part]
 
 
@@ -229,7 +229,7 @@ def _parse_policy_options(value: Any) -> Any:
 def _parse_keywords(node: ast.expr) -> Any:
     """Return the value of `dict(key=value, ...)`, a name or a literal, without running it."""
     if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
-        return {str(one.arg): _parse_keywords(one.value) for one in node.keywords}
+        return {str(keyword.arg): _parse_keywords(keyword.value) for keyword in node.keywords}
     return ast.unparse(node) if isinstance(node, ast.Attribute) else ast.literal_eval(node)
 
 
@@ -257,8 +257,8 @@ _TYPES = {  # of arguments of algorithms, where their annotation says less
 def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
     """Return the keys that an entry for the algorithm may have, as fields of a pydantic model."""
     keys: dict[str, Any] = {
-        name: (_TYPES.get(name, Annotated[one.annotation, _Numeric]), one.default)
-        for name, one in _parameters(algorithm).items()
+        name: (_TYPES.get(name, Annotated[parameter.annotation, _Numeric]), parameter.default)
+        for name, parameter in _parameters(algorithm).items()
     }
     alias = next(name for name in algorithm.policy_aliases if name.startswith("Mlp"))
     policy = _class_from(algorithm.policy_aliases[alias], alias)
@@ -267,12 +267,12 @@ def _keys(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
 
 def _parameters(kind: type) -> dict[str, inspect.Parameter]:
     """Return the parameters of a constructor; if it has `**kwargs`, with its base class's."""
-    own = inspect.signature(kind.__init__, eval_str=True).parameters  # type: ignore[misc]
+    signature = inspect.signature(kind.__init__, eval_str=True).parameters  # type: ignore[misc]
     unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    named = {name: one for name, one in own.items() if one.kind not in unnamed}
-    has_kwargs, base = len(named) < len(own), kind.__base__ or object
-    every = {**_parameters(base), **named} if has_kwargs else named
-    return {name: one for name, one in every.items() if name not in _NOT_IN_FILES}
+    named = {name: value for name, value in signature.items() if value.kind not in unnamed}
+    if len(named) < len(signature):  # it has `**kwargs`
+        named = {**_parameters(kind.__base__ or object), **named}
+    return {name: value for name, value in named.items() if name not in _NOT_IN_FILES}
 
 
 def names() -> list[str]:
@@ -312,14 +312,14 @@ def read_recipe(
     if env_id is None:
         env_id = next(iter(entries))
         spec = gym.registry.get(env_id)  # of others some import what their arguments name
-        is_own = spec is None or str(spec.entry_point).startswith("mmc_gym.")
+        is_ours = spec is None or str(spec.entry_point).startswith("mmc_gym.")
         accepted = "of this package, or said by yourself too (--env), since it may run any code"
-        require(is_own and ":" not in env_id, f"{source}: env", env_id, accepted)
+        require(is_ours and ":" not in env_id, f"{source}: env", env_id, accepted)
     if env_id not in entries:
         raise unknown(f"env for {source}", env_id, entries)
     recipe = Recipe(path.stem, env_id, entries[env_id])
-    own = recipe.hyperparameters
-    drawn = {"perturbations": own.pop("perturbations")} if "perturbations" in own else {}
+    entry = recipe.hyperparameters
+    drawn = {"perturbations": entry.pop("perturbations")} if "perturbations" in entry else {}
     if more := {**drawn, **require_arguments("env_kwargs", env_kwargs)}:
-        recipe = recipe.with_changes(env_kwargs={**(own.get("env_kwargs") or {}), **more})
+        recipe = recipe.with_changes(env_kwargs={**(entry.get("env_kwargs") or {}), **more})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

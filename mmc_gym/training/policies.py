@@ -97,7 +97,7 @@ def export_policy(policy: BasePolicy, normalizer: VecNormalize | None = None) ->
     if lstm := getattr(actor, "lstm_actor", None):
         if lstm.num_layers > 1:
             raise ValueError(f"n_lstm_layers must be 1, got {lstm.num_layers}")
-        before |= {f"lstm.weight_{one}": getattr(lstm, f"weight_{one}_l0") for one in ("ih", "hh")}
+        before |= {"lstm.weight_ih": lstm.weight_ih_l0, "lstm.weight_hh": lstm.weight_hh_l0}
         before["lstm.bias"] = lstm.bias_ih_l0 + lstm.bias_hh_l0
     return export_network(hidden, mean, log_std, distribution, before)
 
@@ -226,11 +226,11 @@ def _statistics(model: BaseAlgorithm) -> dict[str, RunningMeanStd]:
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
     """Return the arrays of a replay buffer that have a row for each step, by name."""
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for name, value in vars(buffer).items():
         parts = value.items() if isinstance(value, dict) else [("", value)]
         for key, array in parts:
             has_rows = isinstance(array, np.ndarray) and array.shape[:1] == (buffer.buffer_size,)
             if has_rows and array.dtype != object:
-                found[f"{name}/{key}" if key else name] = array
-    return found
+                arrays[f"{name}/{key}" if key else name] = array
+    return arrays

@@ -78,8 +78,8 @@ class Training:
 
     def __post_init__(self) -> None:
         require_whole("evaluations", self.evaluations)
-        fine = is_whole(self.seed) and 0 <= self.seed < 2**32
-        require(fine, "seed", self.seed, "from 0 to 2**32 - 1")
+        is_seed = is_whole(self.seed) and 0 <= self.seed < 2**32
+        require(is_seed, "seed", self.seed, "from 0 to 2**32 - 1")
         if self.tensorboard is not None and find_spec("tensorboard") is None:
             raise missing("a log for TensorBoard", "tensorboard", "training")
         self.device = usable_device(self.device)

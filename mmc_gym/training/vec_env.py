@@ -54,10 +54,10 @@ class GymnasiumVecEnv(VecEnv):
         Raise a `UserError` if options differ between environments.
         """
         options = self._options
-        are_equal = all(data_equivalence(options[0], one) for one in options[1:])
+        are_equal = all(data_equivalence(options[0], other) for other in options[1:])
         require(are_equal, "options", options, "the same for all environments")
-        chosen = dict(options[0]) or None
-        observation, infos = self.vector_env.reset(seed=self._seeds[0], options=chosen)
+        shared_options = dict(options[0]) or None
+        observation, infos = self.vector_env.reset(seed=self._seeds[0], options=shared_options)
         self.reset_infos = [_row(infos, index) for index in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
