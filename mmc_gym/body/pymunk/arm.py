@@ -28,9 +28,16 @@ from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import Buffer, get_space_bodies
 from typing_extensions import override
 
-from mmc_gym.body.base import SingleArm
+from mmc_gym.body.base import Floats, SingleArm
 from mmc_gym.body.parameters import ArmParameters
-from mmc_gym.body.pymunk.linkage import MOTION, Linkage, Walls, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import (
+    MOTION,
+    HandField,
+    Linkage,
+    Walls,
+    forget_impulses,
+    make_space,
+)
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 
@@ -62,7 +69,7 @@ class PymunkArm(SingleArm):
         self._buffer = Buffer()
         self._space = make_space(p)
         self._linkage = Linkage(self._space, p, self._servo)
-        self._field = None if p.force_field is None else self._linkage.field
+        self._field = None if p.force_field is None else HandField([p])
 
     @override
     def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -70,7 +77,7 @@ class PymunkArm(SingleArm):
             self._build()
         else:
             if self._linkage.parameters is not self.parameters:
-                self._set_load(self.parameters)
+                self._carry(self.parameters)
             forget_impulses(self._space, [self._linkage], self.parameters.substep)
         self._linkage.place(joint_angles, joint_velocities)
         self._walls, self.contact = None, (0.0, 0.0)
@@ -141,14 +148,14 @@ class PymunkArm(SingleArm):
     def _push_hand(self) -> None:
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
-        motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
-        pushes: Any = np.zeros(3)
+        motion = np.frombuffer(self._buffer.float_buf()).reshape(1, -1, 6)[:, : self._count]
+        pushes: Floats = np.zeros((1, 3))
         if self._field is not None:
-            impulses = self._field.impulses(motion, np.array(self._yields))
+            impulses = self._field.impulses(motion, np.array([self._yields]))
             pushes = impulses / self.parameters.substep
         if self._walls is not None:
-            pushes = pushes + self._walls.pushes(motion[None])[0]
-        x, y, torque = pushes.tolist()
+            pushes = pushes + self._walls.pushes(motion)
+        x, y, torque = pushes[0].tolist()
         hand = self._linkage.rods[-1][0]
         chipmunk.cpBodySetForce(hand, (x, y))
         chipmunk.cpBodySetTorque(hand, torque)
@@ -188,11 +195,11 @@ class PymunkArm(SingleArm):
     @override
     def load(self, parameters: ArmParameters) -> None:
         self._history.append(("load", parameters))
-        self._set_load(parameters)
+        self._carry(parameters)
 
-    def _set_load(self, parameters: ArmParameters) -> None:
-        self._linkage.load(self._space, parameters)
-        self._field = None if parameters.force_field is None else self._linkage.field
+    def _carry(self, p: ArmParameters) -> None:
+        self._linkage.load(self._space, p)
+        self._field = None if p.force_field is None else HandField([p])
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._history[0][0] != "reset":

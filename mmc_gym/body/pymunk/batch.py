@@ -81,6 +81,8 @@ class ArmGroup:
         self._pulls = np.zeros((*self._shape, 3))  # of gravity on each segment
         self.walls: Walls | None = None
         self._spaces = [make_space(parameters) for _ in range(spaces)]
+        self._scratch = pymunk.Space()  # empty but while impulses are forgotten
+        self._scratch.iterations = 1
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
         self.linkages = [Linkage(space, parameters, servo, self.is_apart) for space in by_arm]
         self._collect()
@@ -97,8 +99,7 @@ class ArmGroup:
         ]
         self._field: HandField | None = None
         if any(p.force_field is not None for p in every):
-            fields = [linkage.field for linkage in self.linkages]
-            self._field = HandField.of(fields) if self._may_differ else fields[0]
+            self._field = HandField(every if self._may_differ else every[:1])
         if self._is_pulled:
             self._spaces[0].gravity = 0.0, 0.0
             masses = np.array([[rod.mass for rod in p.rods] for p in every])
@@ -121,9 +122,10 @@ class ArmGroup:
             self.walls.contacts[:] = 0.0
         is_pushed = self._field is not None or self.walls is not None or self._is_pulled
         if not is_pushed and not effort:
+            simulate = chipmunk.cpSpaceStep
             for substeps, substep, space in self._paces:
                 for _ in range(substeps):
-                    chipmunk.cpSpaceStep(space, substep)
+                    simulate(space, substep)
             return
         before = self._joint_velocities() if effort else np.empty(0)
         for array in effort or ():
@@ -202,14 +204,13 @@ class ArmGroup:
         members: Sequence[int],
         joint_angles: Sequence[Sequence[float]],
         joint_velocities: Sequence[Sequence[float]],
-        scratch: pymunk.Space,
         parameters: Sequence[ArmParameters] | None = None,
     ) -> None:
-        """Place the arms `members` of the group; `scratch` is an empty Space."""
-        of_members = parameters or [self.linkages[member].parameters for member in members]
-        for member, p in zip(members, of_members):
+        """Place the arms `members` of the group."""
+        for member, p in zip(members, parameters or ()):
             is_possible = self.is_apart or self.linkages[member].can_become(p)
             require(is_possible, "parameters", p, "such as those of `others`, or between them")
+        of_members = parameters or [self.linkages[member].parameters for member in members]
         standing = []  # arms that are not built anew, with their Spaces
         for member, p in zip(members, of_members):
             linkage, space = self.linkages[member], self._spaces[member * self.is_apart]
@@ -235,15 +236,20 @@ class ArmGroup:
             forget_impulses(self._spaces[0], linkages, self._paces[0][1])
         else:  # the other arms must not move
             for linkage in linkages:
-                linkage.move_joints(self._spaces[0], scratch)
-            forget_impulses(scratch, linkages, self._paces[0][1])
+                linkage.move_joints(self._spaces[0], self._scratch)
+            forget_impulses(self._scratch, linkages, self._paces[0][1])
             for linkage in linkages:
-                linkage.move_joints(scratch, self._spaces[0])
+                linkage.move_joints(self._scratch, self._spaces[0])
         for member, posture, speeds in zip(members, joint_angles, joint_velocities):
             self.linkages[member].place(posture, speeds)
         self._yields[members] = 1.0
         if self.walls is not None:
             self.walls.confine(members, np.zeros(2), np.zeros(2))
+
+    def confine(self, members: Sequence[int], starts: Floats, ends: Floats) -> None:
+        """Confine the hands of some arms, see `SingleArm.confine`."""
+        self.walls = self.walls or Walls(self.linkages)
+        self.walls.confine(members, starts, ends)
 
     def load(self, members: Sequence[int], parameters: Sequence[ArmParameters]) -> None:
         """Load some arms, see `SingleArm.load`."""
@@ -292,8 +298,6 @@ class PymunkArmBatch(ArmBatch):
         self._speed_limits, self._torque_limits = np.zeros((2, self._count, 1))
         self._note(np.arange(self._count), self.parameters)
         self._commanded = False  # whether the next step has to set the servos
-        self._scratch = pymunk.Space()
-        self._scratch.iterations = 1
 
     def _note(self, arms: Indices, p: ArmParameters) -> None:
         """Keep the parameters of these arms that are read in every step."""
@@ -372,7 +376,7 @@ class PymunkArmBatch(ArmBatch):
         for group, part, members in self._by_group(arms):
             angles, velocities = postures[part].tolist(), speeds[part].tolist()
             of_members = [rows[row] for row in part] if rows else None
-            group.reset(members, angles, velocities, self._scratch, of_members)
+            group.reset(members, angles, velocities, of_members)
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)
@@ -394,8 +398,7 @@ class PymunkArmBatch(ArmBatch):
     @override
     def confine(self, arms: ArrayLike, starts: Floats, ends: Floats) -> None:
         for group, part, members in self._by_group(self._indices(arms)):
-            group.walls = group.walls or Walls(group.linkages)
-            group.walls.confine(members, starts[part], ends[part])
+            group.confine(members, starts[part], ends[part])
 
     @property
     def contacts(self) -> Floats:  # type: ignore[override]

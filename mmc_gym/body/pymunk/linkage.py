@@ -100,7 +100,6 @@ class Linkage:
     def change(self, parameters: ArmParameters) -> None:
         """Set all numbers; `place` has to follow."""
         self.parameters = p = parameters
-        self._field: HandField | None = None
         self.rods, anchor = [], 0.0
         for joint, (length, rod) in enumerate(zip(p.segment_lengths, p.rods)):
             segment, pivot = self.segments[joint]._body, self._pivots[joint]
@@ -136,15 +135,8 @@ class Linkage:
             assert isinstance(shape, pymunk.Segment)
             shape.unsafe_set_endpoints((-rod.centre, 0.0), (length - rod.centre, 0.0))
         self.rods[-1] = segment, length, rod.centre
-        self.parameters, self._field = parameters, None
+        self.parameters = parameters
         change_space(space, parameters)
-
-    @property
-    def field(self) -> HandField:
-        """The force field on the hand, of strength 0 if there is none."""
-        if self._field is None:
-            self._field = HandField(self.parameters)
-        return self._field
 
     def _make_joint(
         self, joint: int, parent: pymunk.Body, segment: pymunk.Body
@@ -278,7 +270,7 @@ def forget_impulses(space: pymunk.Space, linkages: Sequence[Linkage], substep: f
 
 
 class HandField:
-    """The force field on the hand of an arm, or on the hands of many equal arms at once.
+    """The force fields on the hands of n arms, or the field on the hands of arms that are equal.
 
     Its impulse in a physics step is computed implicitly.
 
@@ -301,36 +293,32 @@ class HandField:
     The analytic engine computes the same in its kernel, from the mobility J M⁻¹ Jᵀ of the hand.
     """
 
-    def __init__(self, parameters: ArmParameters) -> None:
-        """Prepare for arms with these parameters; without a `force_field`, one of strength 0."""
-        count, lengths = len(parameters.segment_lengths), np.array(parameters.segment_lengths)
-        masses, centres, inertias = np.array(parameters.rods).T
-        self._half = parameters.substep / 2 * np.array(parameters.force_field or np.zeros((2, 2)))
-        self._substep = np.array([[parameters.substep]])
-        self._fall = parameters.substep * np.array([parameters.gravity])
-        # Row j: how far the centre of rod j moves along each segment.
-        self._levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(centres)
-        self._weighted = self._levers.T * masses
-        self._products, self._inertias = self._weighted @ self._levers, np.diag(inertias)
-        self._lengths, self._reach = lengths[:, None], (lengths - centres)[-1:]
+    def __init__(self, arms: Sequence[ArmParameters]) -> None:
+        """Prepare for n arms, or one for all; without a `force_field`, it is one of strength 0."""
+        lengths = np.array([p.segment_lengths for p in arms])
+        masses, centres, inertias = np.moveaxis(np.array([p.rods for p in arms]), -1, 0)
+        self._substep = np.array([[[p.substep]] for p in arms])
+        fields = np.array([p.force_field or ((0.0, 0.0), (0.0, 0.0)) for p in arms])
+        self._half = self._substep / 2 * fields
+        self._fall = self._substep * np.array([[p.gravity] for p in arms])
+        self._same = np.eye(lengths.shape[1])
         # A joint turns all segments from its own on.
-        self._turned, self._same = np.tril(np.ones((count, count))), np.eye(count)
-
-    @classmethod
-    def of(cls, fields: Sequence[HandField]) -> HandField:
-        """Return the field of several arms, each with its own."""
-        several = cls.__new__(cls)
-        for name in vars(fields[0]):
-            setattr(several, name, np.stack([getattr(field, name) for field in fields]))
-        return several
+        self._turned = np.tril(np.ones_like(self._same))
+        # Row j: how far the centre of rod j moves along each segment.
+        self._levers = np.tril(lengths[:, None] * np.ones_like(self._same), -1)
+        self._levers += centres[:, None] * self._same
+        self._weighted = self._levers.swapaxes(-1, -2) * masses[:, None]
+        self._products = self._weighted @ self._levers
+        self._inertias = inertias[:, None] * self._same
+        self._lengths, self._reach = lengths[..., None], (lengths - centres)[:, -1:]
 
     def impulses(self, motion: Floats, yields: Floats) -> Floats:
-        """Return the impulse (x, y) on the hand, and its moment about the last segment's centre.
+        """Return impulses (x, y) on the hands and moments about last segments' centres, (n, 3).
 
         Args:
             motion: of each segment before the substep: centre of gravity (x, y), angle, velocity of
-                the centre (x, y) and angular velocity, (..., N, 6).
-            yields: 1 for each joint that yields to a push, 0 for each that is held, (..., N).
+                the centre (x, y) and angular velocity, (n, N, 6).
+            yields: 1 for each joint that yields to a push, 0 for each that is held, (n, N).
         """
         centres, velocities, speeds = motion[..., :2], motion[..., 3:5], motion[..., 5:]
         angles = motion[..., 2:3] + self._substep * speeds
