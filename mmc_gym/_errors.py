@@ -11,7 +11,7 @@ import inspect
 import math
 import sys
 import warnings
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from numbers import Integral, Real
@@ -179,6 +179,14 @@ def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArr
         require(False, name, array.shape, accepted)
     require(bool(np.isfinite(array).all()), name, value, "finite")
     return array
+
+
+def require_batch(name: str, shapes: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the shape to which all shapes broadcast."""
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError as error:
+        raise UserError(f"{name} must have batch axes that fit, got {shapes}") from error
 
 
 def _array(value: object) -> NDArray[Any]:

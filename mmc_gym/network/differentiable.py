@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from math import prod
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from mmc_gym._errors import UserError, require, require_whole
+from mmc_gym._errors import UserError, require, require_batch, require_whole
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair, held_rows, linear_operator
 from mmc_gym.network.model import MMCNetwork
@@ -179,10 +178,7 @@ class TorchNetwork(torch.nn.Module):
         held = held_rows(self, "clamps", {} if clamps is None else clamps, self._tensor)
         begin = state.values.movedim((0, 1), (-2, -1))
         shapes = [begin.shape[:-2], *(value.shape[:-1] for value in held.values())]
-        try:
-            batch = np.broadcast_shapes(*shapes)
-        except ValueError as error:
-            raise UserError(f"clamps must have batch axes that fit, got {shapes}") from error
+        batch = require_batch("clamps", shapes)
         values = begin.expand(*batch, -1, -1).movedim((-2, -1), (0, 1))
         held = {row: value.expand(*batch, -1).movedim(-1, 0) for row, value in held.items()}
         values = self._bend_where_stuck(values, held)

@@ -34,6 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import (
     UserError,
     require,
+    require_batch,
     require_choice,
     require_floats,
     require_number,
@@ -240,11 +241,9 @@ class MMCNetwork:
         if not held:
             return NO_CLAMPS
         rows = tuple(sorted(held))
-        try:
-            values = np.stack(np.broadcast_arrays(*(held[row] for row in rows)))
-        except ValueError as error:
-            shapes = [array.shape for array in held.values()]
-            raise UserError(f"vectors must have batch axes that fit, got {shapes}") from error
+        shapes = [array.shape for array in held.values()]
+        shape = require_batch("vectors", shapes)
+        values = np.stack([np.broadcast_to(held[row], shape) for row in rows])
         return Clamps(rows, np.ascontiguousarray(np.moveaxis(values, -1, 1)), self.segment_count)
 
     def step(self, state: MMCState, clamps: Clamps = NO_CLAMPS) -> MMCState:
