@@ -27,17 +27,20 @@ joint is locked, its body is tied to the base and cannot turn.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import LARGEST_SIZE, UserError, require, require_between
 from mmc_gym.geometry import Floats
 from mmc_gym.network.chain import cached_iteration, matrices_of, triangle_products, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import Normalizer, product
+
+Dtype: TypeAlias = "np.dtype[np.floating]"
 
 SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its span
 
@@ -84,90 +87,78 @@ def embodied_run(
     lengths = iteration.lengths
     if body.segment_lengths is not None:
         lengths = _batch_last(body.segment_lengths, batch, values.dtype)
-    sensing = _Sensing.of(network, body, batch, values.dtype) if body.weight else None
-    rigid = _RigidBodies.of(body, lengths, batch, values.dtype)
+    add_sensed = _sensing(network, body, batch, values.dtype) if body.weight else None
+    nearest = _rigid_bodies(body, lengths, network.normalizer, batch, values.dtype)
     now, following, *states = matrices_of(flat)
     for _ in range(iterations):
         product(iteration.operator, now, following)
         states.reverse()
-        if sensing is not None:
-            sensing.add(states[0], now)
-        if rigid is None:
+        if add_sensed is not None:
+            add_sensed(states[0], now)
+        if nearest is None:
             network.normalizer.normalize_rows(states[0][:count], lengths)
         else:
-            states[0][:count] = rigid.nearest(states[0][:count], network.normalizer)
+            states[0][:count] = nearest(states[0][:count])
         now, following = following, now
     flat[:] = states[0]
     return MMCState(values, count)
 
 
-class _Sensing(NamedTuple):
-    """The sensed posture as one more computation in the mean; states are (rows, 2, batch)."""
+def _sensing(
+    network: MMCNetwork, body: Embodiment, batch: tuple[int, ...], dtype: Dtype
+) -> Callable[[Floats, Floats], None]:
+    """Return a function that makes the sensed posture one more computation in the mean.
 
-    segments: Floats  #: L^s, (N, 2, batch)
-    to_mean: Floats  #: makes L̃⁰ of a state, (N, rows)
-    share: float  #: of L^s − L̃⁰ in the proposed segments
-    is_dynamic: bool
+    It changes what is proposed, (rows, 2, batch), for the state in a matrix (see `matrices_of`).
+    """
+    count, triangles = network.segment_count, triangle_products(network.segment_count)
+    mean = np.eye(len(triangles)) - triangles / network.damping
+    to_mean = np.zeros((count, network.row_count), dtype=dtype)  # makes L̃⁰ of a state
+    to_mean[:, : len(mean)] = mean[:count]
+    share = velocity_rule(network)[0] * (body.weight / (network.damping + body.weight))
+    sensed = _batch_last(body.sensed, batch, dtype, 2)  # L^s, (N, 2, batch)
 
-    @classmethod
-    def of(
-        cls, network: MMCNetwork, body: Embodiment, batch: tuple[int, ...], dtype: np.dtype[Any]
-    ) -> _Sensing:
-        count, triangles = network.segment_count, triangle_products(network.segment_count)
-        mean = np.eye(len(triangles)) - triangles / network.damping
-        to_mean = np.zeros((count, network.row_count), dtype=dtype)
-        to_mean[:, : len(mean)] = mean[:count]
-        share = velocity_rule(network)[0] * (body.weight / (network.damping + body.weight))
-        segments = _batch_last(body.sensed, batch, dtype, 2)
-        return cls(segments, to_mean, share, network.dynamics != "kinematic")
-
-    def add(self, proposed: Floats, matrix: Floats) -> None:
-        """Put the sensed posture into the mean of what is proposed for a state's `matrix`."""
-        count, _, batch = self.segments.shape
-        mean = product(self.to_mean, matrix)[:, : 2 * batch].reshape(self.segments.shape)
-        change = self.share * (self.segments - mean)
+    def add(proposed: Floats, matrix: Floats) -> None:
+        unsensed = product(to_mean, matrix)[:, : sensed[0].size].reshape(sensed.shape)
+        change = share * (sensed - unsensed)
         proposed[:count] += change
-        if self.is_dynamic:
+        if network.dynamics != "kinematic":
             proposed[-count:] += change
 
+    return add
 
-class _RigidBodies(NamedTuple):
-    """The bodies that locked joints make of segments; complex numbers are vectors and turns."""
 
-    starts: NDArray[np.bool_]  #: whether each segment is the first of its body, (N, batch)
-    is_tied: NDArray[np.bool_]  #: whether it is tied to the base, (N, batch)
-    segments: NDArray[Any]  #: ℓ_i R(c_i), (N, batch)
-    span: NDArray[Any]  #: Σ ℓ_i R(c_i) of each segment's body, (N, batch)
-    weight: Floats  #: of the segments and the span together, (N, batch)
+def _rigid_bodies(
+    body: Embodiment, lengths: Floats, normalizer: Normalizer, batch: tuple[int, ...], dtype: Dtype
+) -> Callable[[Floats], Floats] | None:
+    """Return a function from proposed segments to the nearest possible ones, both (N, 2, batch).
 
-    @classmethod
-    def of(
-        cls, body: Embodiment, lengths: Floats, batch: tuple[int, ...], dtype: np.dtype[Any]
-    ) -> _RigidBodies | None:
-        if body.locked is None or not body.locked.any():
-            return None
-        locked = _batch_last(body.locked, batch, dtype) > 0
-        starts, is_tied = ~locked, locked.copy()
-        turned = np.exp(1j * np.where(locked, _batch_last(body.joint_angles, batch, dtype), 0.0))
-        for joint in range(1, len(locked)):
-            turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
-            is_tied[joint] &= is_tied[joint - 1]
-        segments = lengths * turned
-        span = _over_bodies(starts, segments)
-        squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
-        weight = _over_bodies(starts, squares) + np.abs(span) ** 2
-        return cls(starts, is_tied, segments, span, weight)
+    Return None if no joint is locked.  Complex numbers are vectors and turns.
+    """
+    if body.locked is None or not body.locked.any():
+        return None
+    locked = _batch_last(body.locked, batch, dtype) > 0
+    starts, is_tied = ~locked, locked.copy()  # of bodies; to the base
+    turned = np.exp(1j * np.where(locked, _batch_last(body.joint_angles, batch, dtype), 0.0))
+    for joint in range(1, len(locked)):
+        turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
+        is_tied[joint] &= is_tied[joint - 1]
+    segments = lengths * turned  # ℓ_i R(c_i)
+    span = _over_bodies(starts, segments)
+    squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
+    weight = _over_bodies(starts, squares) + np.abs(span) ** 2  # of the segments and the span
 
-    def nearest(self, segments: Floats, normalizer: Normalizer) -> Floats:
-        """Return the possible segments nearest to proposed ones, (N, 2, batch)."""
-        proposed = segments[:, 0] + 1j * segments[:, 1]
-        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * self.segments.conj() * proposed)
-        fit = fit + self.span.conj() * _over_bodies(self.starts, proposed)
-        direction = np.stack([fit.real, fit.imag], axis=1) / self.weight[:, None]
+    def nearest(vectors: Floats) -> Floats:
+        proposed = vectors[:, 0] + 1j * vectors[:, 1]
+        fit = _over_bodies(starts, SEGMENT_WEIGHT * segments.conj() * proposed)
+        fit = fit + span.conj() * _over_bodies(starts, proposed)
+        direction = np.stack([fit.real, fit.imag], axis=1) / weight[:, None]
         normalizer.normalize_rows(direction, np.ones((len(fit), 1), dtype=direction.dtype))
-        turn = np.where(self.is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
-        placed = self.segments * turn
+        turn = np.where(is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
+        placed = segments * turn
         return np.stack([placed.real, placed.imag], axis=1)
+
+    return nearest
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
@@ -181,10 +172,10 @@ def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any
 
 
 def _batch_last(
-    array: Any, batch: tuple[int, ...], dtype: np.dtype[Any], *axes: int
-) -> NDArray[Any]:
+    values: ArrayLike | None, batch: tuple[int, ...], dtype: Dtype, *axes: int
+) -> Floats:
     """Return an array (..., N, *axes) with the batch last and flat."""
-    array = np.asarray(array, dtype)
+    array = np.asarray(values, dtype)
     trailing = array.shape[array.ndim - 1 - len(axes) :]
     full = np.broadcast_to(array, (*batch, *trailing)).reshape(-1, *trailing)
     return np.ascontiguousarray(np.moveaxis(full, 0, -1))

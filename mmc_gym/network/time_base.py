@@ -36,7 +36,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,8 +112,9 @@ def timed_step(
         network.normalizer.normalize_rows(segments, lengths)
         return segments
 
-    def hand_step(gain: Floats) -> Any:
-        return np.hypot(*(segments_with(gain).sum(axis=0) - hand))
+    def hand_step(gain: Floats) -> Floats:
+        x, y = segments_with(gain).sum(axis=0) - hand
+        return np.hypot(x, y)
 
     largest = 2 / (count + 3)
     gain = _solve(hand_step, step_length, np.minimum(shares / 2, largest), largest)
