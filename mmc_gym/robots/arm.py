@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mmc_gym._errors import (
     UserError,
@@ -233,7 +233,7 @@ class HingeArm:
         hand, of_hand = self.home[:3, 3], self.joint_count  # hinges from `of_hand` on belong to it
         while of_hand > 1 and self._miss(range(of_hand - 1, of_hand), hand) < _MEET:
             of_hand -= 1
-        nodes: list[NDArray[Any]] = []
+        nodes: list[Floats] = []
         joint_nodes: list[int] = []
         before: Floats = np.zeros(3)
         first = 0

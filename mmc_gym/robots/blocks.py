@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +41,14 @@ class Course(NamedTuple):
 
 
 @lru_cache
-def task_type(joints: int, nodes: int) -> np.dtype[Any]:
+def task_type(joints: int, nodes: int) -> np.dtype[np.void]:
     """Return the type of a task: limits, places of held nodes, rotation as a turn of the arm."""
     shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "rotation": (3, 3)}
     return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 
 @lru_cache
-def block_type(joints: int, nodes: int) -> np.dtype[Any]:
+def block_type(joints: int, nodes: int) -> np.dtype[np.void]:
     """Return the type of a block: a task, and arrays of its lanes that `iteration` names."""
     task = task_type(joints, nodes)
     shapes: dict[str, tuple[int, ...]] = {name: task[name].shape for name in task.names or ()}

@@ -51,8 +51,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
-    UserError,
     require,
+    require_batch,
     require_floats,
     require_number,
     require_positive,
@@ -64,6 +64,7 @@ from mmc_gym.geometry import Floats
 from mmc_gym.robots.arm import HingeArm, require_rotations
 from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
 
+Records = NDArray[np.void]
 HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
 POOL = 128  # postures, of which the nearest to a task are its starts
@@ -91,7 +92,7 @@ class HingeState:
 class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    tasks: NDArray[Any]  #: the limits and places, an array (...) of `blocks.task_type`
+    tasks: Records  #: the limits and places, an array (...) of `blocks.task_type`
     is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
     has_rotation: bool  #: whether the hand's rotation is held
     free_joints: int  #: number of joints that are not held
@@ -193,7 +194,9 @@ class HingeNetwork:
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
-        tasks = np.zeros(_together("clamps", shapes), task_type(arm.joint_count, arm.node_count))
+        tasks = np.zeros(
+            require_batch("clamps", shapes), task_type(arm.joint_count, arm.node_count)
+        )
         tasks["low"], tasks["high"] = arm.limits.T
         tasks["rotation"] = turn
         for (joint, angle), value in zip(angles.items(), held.values()):
@@ -215,7 +218,7 @@ class HingeNetwork:
         Batch axes of state and clamps are broadcast against each other.
         """
         require_whole("iterations", iterations, least=0)
-        batch = _together("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
+        batch = require_batch("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
         tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
         count = -(-len(tasks) // LANES)
         # The first ones fill the last block.
@@ -273,7 +276,7 @@ class HingeNetwork:
         tasks, first = clamps.tasks, None
         if start is not None:
             first = _floats("start", start, (self.arm.joint_count,))
-            batch = _together("start", [tasks.shape, first.shape[:-1]])
+            batch = require_batch("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
         loose = max(LOOSE[0], LOOSE_SHARE * self._length)
@@ -302,7 +305,7 @@ class HingeNetwork:
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
 
-    def _best(self, race: _Race, tasks: NDArray[Any], start: Floats | None) -> NDArray[Any]:
+    def _best(self, race: _Race, tasks: Records, start: Floats | None) -> Records:
         """Return the best posture for each task: the first to settle, or else the nearest."""
         ends = np.zeros(len(tasks), self._end_type)
         ends["rank"] = np.inf
@@ -337,7 +340,7 @@ class HingeNetwork:
             order = None if order is None else order[left]
         return ends
 
-    def _ends(self, race: _Race, blocks: NDArray[Any], away: Floats | None) -> NDArray[Any]:
+    def _ends(self, race: _Race, blocks: Records, away: Floats | None) -> Records:
         """Return the best posture of each block: of those that have settled the least `away`."""
         far, turn = np.sqrt(blocks["miss"]), np.zeros_like(blocks["miss"])
         if race.course.weight:
@@ -352,7 +355,7 @@ class HingeNetwork:
             ends[name] = values[rows, lane]
         return ends
 
-    def _order(self, blocks: NDArray[Any], course: Course, pool: Floats) -> NDArray[np.intp]:
+    def _order(self, blocks: Records, course: Course, pool: Floats) -> NDArray[np.intp]:
         """Return the order of a pool for each task, those first that lack least, (batch, size)."""
         parts = len(pool) // LANES
         tried = np.repeat(blocks, parts)
@@ -361,7 +364,7 @@ class HingeNetwork:
         self._settle(tried, course._replace(iterations=0, newton_steps=0, has_start=False))
         return np.argsort(tried["merit"].reshape(len(blocks), -1), axis=1)
 
-    def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
+    def _blocks(self, tasks: Records) -> Records:
         """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
         blocks = np.zeros(len(tasks), block_type(self.arm.joint_count, self.arm.node_count))
         for name in tasks.dtype.names or ():
@@ -369,7 +372,7 @@ class HingeNetwork:
             blocks[name] = np.moveaxis(values, 1, -1) if tasks.ndim == 2 else values[..., None]
         return blocks
 
-    def _settle(self, blocks: NDArray[Any], course: Course) -> None:
+    def _settle(self, blocks: Records, course: Course) -> None:
         from mmc_gym.robots.iteration import settle
 
         settle(blocks, self._zero_posture, course)
@@ -393,7 +396,7 @@ class HingeNetwork:
         return float(np.linalg.norm(segments, axis=1).sum()) or 1.0
 
     @cached_property
-    def _end_type(self) -> np.dtype[Any]:
+    def _end_type(self) -> np.dtype[np.void]:
         numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
         angle = ("angle", np.float64, (self.arm.joint_count,))
         return np.dtype([angle, *numbers, ("iterations", np.int64)])
@@ -423,13 +426,6 @@ def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
     random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
     low, high = np.where(np.isinf(arm.limits), (-np.pi, np.pi), arm.limits).T
     return random.uniform(low, high, (size, arm.joint_count))
-
-
-def _together(name: str, shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(*shapes)
-    except ValueError as error:
-        raise UserError(f"{name} must have batch axes that fit, got {shapes}") from error
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:

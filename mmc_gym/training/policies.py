@@ -36,7 +36,10 @@ from mmc_gym.agents.policy_network import Activation, Distribution, Float32, Pol
 from mmc_gym.interface import ObservationLayout
 
 _NO_SPREAD = -80.0  # log standard deviation, too small to change an action
-ACTIVATIONS: dict[Activation, Any] = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
+ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
+    "relu": torch.nn.ReLU,
+    "tanh": torch.nn.Tanh,
+}
 
 
 class FlatObservation(BaseFeaturesExtractor):
@@ -104,8 +107,8 @@ def export_policy(policy: BasePolicy, normalizer: VecNormalize | None = None) ->
 
 def export_network(
     hidden: Iterable[torch.nn.Module],
-    mean: Any,
-    log_std: Any,
+    mean: torch.nn.Linear,
+    log_std: torch.nn.Linear | torch.Tensor,
     distribution: Distribution,
     before: Mapping[str, torch.Tensor] | None = None,
 ) -> PolicyNetwork:
@@ -121,7 +124,8 @@ def export_network(
     activation = next((name for name, kind in ACTIVATIONS.items() if kinds == {kind}), None)
     if activation is None:
         raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between layers, got {kinds}")
-    parts = {"mean": mean, "log_std": log_std, **(before or {})}
+    parts: dict[str, torch.nn.Linear | torch.Tensor] = {"mean": mean, "log_std": log_std}
+    parts |= before or {}
     parts |= {f"hidden.{index}": layer for index, layer in enumerate(linear)}
     tensors: dict[str, Float32] = {}
     for name, part in parts.items():
