@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require, require_choice, require_whole
-from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo
+from mmc_gym.body.parameters import ArmParameters, Servo
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -163,11 +163,10 @@ class ArmBatch(ABC):
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
         self._threads = require_whole("threads", threads)
-        self.parameters = p = _checked(parameters)
+        self.parameters = _checked(parameters)
         self._servo: Servo = servo
         self._others, self._is_loaded = tuple(others), False
-        self._shape = self._count, len(p.segment_lengths)
-        self._lockable = ArmColumns.of(p).lockable(self._count)
+        self._shape = self._count, len(self.parameters.segment_lengths)
         self.servo_impulses: Floats = np.full(self._shape, nan)
         self.servo_work: Floats = np.full(self._shape, nan)
         self._pool: ThreadPoolExecutor | None = None
@@ -203,8 +202,6 @@ class ArmBatch(ABC):
                 new = [(indices, parameters)]
             else:
                 new = [(indices[[row]], p) for row, p in enumerate(parameters)]
-        for changed_arms, p in new:
-            self._lockable[changed_arms] = ArmColumns.of(p).lockable(len(changed_arms))
         self._place(indices, postures, speeds, new)
 
     def can_become(self, arm: int, parameters: ArmParameters) -> bool:
@@ -322,6 +319,5 @@ def _out_of_control(fastest: float, velocities: list[float], whose: str = "") ->
 def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
     """Return a copy of `values` in C order, the only layout that the kernel is compiled for."""
     table = np.array(values, dtype=np.float64, order="C")
-    if table.shape != shape:
-        raise UserError(f"{name} must be of shape {shape}, got {table.shape}")
+    require(table.shape == shape, name, table.shape, f"of shape {shape}")
     return table

@@ -26,7 +26,7 @@ from typing_extensions import override
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters, SingleArm
-from mmc_gym.body.parameters import ArmParameters, Servo, stacked
+from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
 
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
@@ -130,26 +130,23 @@ class AnalyticArmBatch(ArmBatch):
 
     @override
     def _build(self) -> None:
-        require(
-            not self.parameters.obstacles,
-            "obstacles",
-            self.parameters.obstacles,
-            'empty for the analytic engine, which knows no collisions (use engine="pymunk")',
-        )
-        require(
-            _independence(self.parameters) > _LEAST_INDEPENDENCE,
-            "drive_inertia",
-            self.parameters.drive_inertia,
+        p = self.parameters
+        accepted = 'empty for the analytic engine, which knows no collisions (use engine="pymunk")'
+        require(not p.obstacles, "obstacles", p.obstacles, accepted)
+        accepted = (
             "larger for the analytic engine, or lengths and masses more alike: the movements of "
-            'the joints cannot be told apart (engine="pymunk" takes such arms)',
+            'the joints cannot be told apart (engine="pymunk" takes such arms)'
         )
+        is_clear = _independence(p) > _LEAST_INDEPENDENCE
+        require(is_clear, "drive_inertia", p.drive_inertia, accepted)
         self._state, shown, self._no_work = _make_records(self._shape[1], self._count)
         self._lanes = self._state["angle"].shape[-1]
+        self._lockable = ArmColumns.of(p).lockable(self._count)
         #: one record, or one for each block if arms differ
-        self._chain = _make_chain(self.parameters, self._servo, self._lanes)
+        self._chain = _make_chain(p, self._servo, self._lanes)
         self._show(shown)
 
-    def _show(self, shown: NDArray[np.void]) -> None:
+    def _show(self, shown: Records) -> None:
         """Make the public arrays views of `shown`."""
         self.shown, self._numbers = shown, shown.view(np.float64)
         self.segment_angles, self.joint_angles = shown["segment_angles"], shown["joint_angles"]
@@ -167,6 +164,7 @@ class AnalyticArmBatch(ArmBatch):
     def _place(self, arms: Indices, postures: Floats, speeds: Floats, new: NewParameters) -> None:
         for changed_arms, parameters in new:
             self._load(parameters, changed_arms)
+            self._lockable[changed_arms] = ArmColumns.of(parameters).lockable(len(changed_arms))
         kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override
