@@ -248,16 +248,13 @@ class ArmColumns(ArmParameters):
     def rows(self, count: int) -> list[ArmColumns]:
         """Return the parameters of each of `count` arms, as numbers."""
         values = {field.name: getattr(self, field.name) for field in fields(ArmParameters)}
-        columns = {name: value for name, value in values.items() if _has_arrays(value)}
-        rows = []
-        for arm in range(count):
-            row = copy(self)
-            for name, column in columns.items():
-                value = _of_arm(column, arm)
-                if name == "lockable_joints":
-                    value = tuple(int(joint) for joint in value if not math.isnan(joint))
-                object.__setattr__(row, name, value)
-            rows.append(row)
+        rows = [copy(self) for _ in range(count)]
+        for name, column in values.items():
+            if _has_arrays(column):
+                for row, value in zip(rows, _of_each(column, count), strict=True):
+                    if name == "lockable_joints":
+                        value = tuple(int(joint) for joint in value if not math.isnan(joint))
+                    object.__setattr__(row, name, value)
         return rows
 
 
@@ -275,9 +272,8 @@ def _has_arrays(value: Any) -> bool:
     return any(map(_has_arrays, value)) if type(value) is tuple else isinstance(value, np.ndarray)
 
 
-def _of_arm(value: Any, arm: int) -> Any:
+def _of_each(value: Any, count: int) -> list[Any]:
+    """Return a number, or a tuple of numbers, for each of `count` arms."""
     if type(value) is tuple:
-        return tuple(_of_arm(part, arm) for part in value)
-    if not isinstance(value, np.ndarray):
-        return value
-    return value[arm] if value.dtype == object else value[arm].item()  # obstacles are tuples
+        return [*zip(*(_of_each(part, count) for part in value), strict=True)] or [()] * count
+    return value.tolist() if isinstance(value, np.ndarray) else [value] * count
