@@ -148,14 +148,14 @@ class PymunkArm(SingleArm):
     def _push_hand(self) -> None:
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
-        motion = np.frombuffer(self._buffer.float_buf()).reshape(1, -1, 6)[:, : self._count]
-        pushes: Floats = np.zeros((1, 3))
+        motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
+        pushes: Floats = np.zeros(3)
         if self._field is not None:
-            impulses = self._field.impulses(motion, np.array([self._yields]))
+            impulses = self._field.impulses(motion, np.array(self._yields))
             pushes = impulses / self.parameters.substep
         if self._walls is not None:
-            pushes = pushes + self._walls.pushes(motion)
-        x, y, torque = pushes[0].tolist()
+            pushes = pushes + self._walls.pushes(motion[None])[0]
+        x, y, torque = pushes.tolist()
         hand = self._linkage.rods[-1][0]
         chipmunk.cpBodySetForce(hand, (x, y))
         chipmunk.cpBodySetTorque(hand, torque)

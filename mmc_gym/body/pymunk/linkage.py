@@ -295,30 +295,34 @@ class HandField:
 
     def __init__(self, arms: Sequence[ArmParameters]) -> None:
         """Prepare for n arms, or one for all; without a `force_field`, it is one of strength 0."""
-        lengths = np.array([p.segment_lengths for p in arms])
-        masses, centres, inertias = np.moveaxis(np.array([p.rods for p in arms]), -1, 0)
-        self._substep = np.array([[[p.substep]] for p in arms])
-        fields = np.array([p.force_field or ((0.0, 0.0), (0.0, 0.0)) for p in arms])
-        self._half = self._substep / 2 * fields
-        self._fall = self._substep * np.array([[p.gravity] for p in arms])
-        self._same = np.eye(lengths.shape[1])
+        none = np.zeros((2, 2))
+        numbers = [
+            (p.segment_lengths, p.rods, [[p.substep]], [p.gravity], p.force_field or none)
+            for p in arms
+        ]
+        # Those of one arm for all have no axis of arms.
+        columns = zip(*numbers) if len(arms) > 1 else numbers[0]
+        lengths, rods, self._substep, gravity, field = map(np.array, columns)
+        masses, centres, inertias = np.moveaxis(rods, -1, 0)[..., None, :]
+        self._half, self._fall = self._substep / 2 * field, self._substep * gravity
         # A joint turns all segments from its own on.
+        self._same = np.eye(lengths.shape[-1])
         self._turned = np.tril(np.ones_like(self._same))
         # Row j: how far the centre of rod j moves along each segment.
-        self._levers = np.tril(lengths[:, None] * np.ones_like(self._same), -1)
-        self._levers += centres[:, None] * self._same
-        self._weighted = self._levers.swapaxes(-1, -2) * masses[:, None]
+        self._levers = np.tril(lengths[..., None, :] * np.ones_like(self._same), -1)
+        self._levers += centres * self._same
+        self._weighted = self._levers.swapaxes(-1, -2) * masses
         self._products = self._weighted @ self._levers
-        self._inertias = inertias[:, None] * self._same
-        self._lengths, self._reach = lengths[..., None], (lengths - centres)[:, -1:]
+        self._inertias, self._lengths = inertias * self._same, lengths[..., None]
+        self._reach = (lengths - centres[..., 0, :])[..., -1:]
 
     def impulses(self, motion: Floats, yields: Floats) -> Floats:
-        """Return impulses (x, y) on the hands and moments about last segments' centres, (n, 3).
+        """Return impulses (x, y) on the hands and moments about last segments' centres, (..., 3).
 
         Args:
             motion: of each segment before the substep: centre of gravity (x, y), angle, velocity of
-                the centre (x, y) and angular velocity, (n, N, 6).
-            yields: 1 for each joint that yields to a push, 0 for each that is held, (n, N).
+                the centre (x, y) and angular velocity, (..., N, 6).
+            yields: 1 for each joint that yields to a push, 0 for each that is held, (..., N).
         """
         centres, velocities, speeds = motion[..., :2], motion[..., 3:5], motion[..., 5:]
         angles = motion[..., 2:3] + self._substep * speeds
