@@ -132,8 +132,10 @@ def generalisation_table(results: Results) -> Table | None:
         cells = []
         for found in places.values():
             lost, own = found.difference(best, agent), found.estimate(agent)
-            ends = f"[{_signed(lost.low)}, {_signed(lost.high)}]"
-            note = "" if agent == best else f"{_signed(lost.estimate)} {ends}"
+            ends = (
+                f" [{_signed(lost.low)}, {_signed(lost.high)}]" if math.isfinite(lost.low) else ""
+            )
+            note = "" if agent == best else f"{_signed(lost.estimate)}{ends}"
             cells.append(Cell(_SUCCESS.number(own.estimate), _notes(note)))
         lost_in = {
             name: results.successes[name].difference(best, agent).estimate

@@ -106,6 +106,14 @@ def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store
     assert "in 50.0 % of its episodes, rank 1 of 3." in text and "nan" not in str(cells)
 
 
+def test_regret_in_a_single_episode_has_no_interval(make_store, movers, tmp_path):
+    agents = {"mmc": movers["mmc"], "ppo-drawn": movers["ppo"]}
+    make_store(tmp_path, agents, ("random", "rotation-60"), instances=1)
+    table = tables.generalisation_table(read_results(tmp_path, 50, yardstick="ppo-drawn"))
+    regrets = [cell.notes for row in table.rows if row.name == "mmc" for cell in row.cells]
+    assert regrets == [("0.0",), ()]
+
+
 def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(make_store, tmp_path):
     missing = [("ppo", 1, "rotation-15"), ("ppo", 1, "centre-out")]
     keys = ("random", "centre-out", "rotation-15", "rotation-60")
