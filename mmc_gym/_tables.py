@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,6 +36,11 @@ class Cell(NamedTuple):
     best: bool = False
     look: str = ""
     links: tuple[tuple[str, int], ...] = ()
+
+    @classmethod
+    def of(cls, text: str, *notes: str, best: bool = False, look: str = "") -> Cell:
+        """Make a cell without the empty ones of its notes."""
+        return cls(text, tuple(filter(None, notes)), best, look)
 
 
 NONE = Cell("–")
@@ -70,7 +75,7 @@ def text_table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ()) -> T
 
 def to_html(table: Table) -> str:
     """Return a table as HTML, without its caption."""
-    headings = "".join(f'<th scope="col">{_html_heading(one)}</th>' for one in table.headings)
+    headings = "".join(map(_html_heading, table.headings))
     head = f"<thead><tr>{headings}</tr></thead>\n" if headings else ""
     rows = "\n".join(map(_html_row, table.rows))
     return f"<table{_css_class(table.look)}>\n{head}<tbody>\n{rows}\n</tbody>\n</table>"
@@ -79,29 +84,26 @@ def to_html(table: Table) -> str:
 def _html_heading(heading: Heading) -> str:
     unit = f' <span class="unit">[{escape(heading.unit)}]</span>' if heading.unit else ""
     better = f'<span class="way">{escape(heading.better)}</span>' if heading.better else ""
-    return f'<div class="heading">{_html_text(heading.label)}{unit}{better}</div>'
+    label = _html_text(heading.label)
+    return f'<th scope="col"><div class="heading">{label}{unit}{better}</div></th>'
 
 
 def _html_row(row: Row) -> str:
-    name = _html_text(row.name) + (_html_note(row.note) if row.note else "")
-    cells = "".join(f"<td{_css_class(one.look)}>{_html_cell(one)}</td>" for one in row.cells)
+    name = _html_cell(Cell.of(row.name, row.note))
+    cells = "".join(f"<td{_css_class(cell.look)}>{_html_cell(cell)}</td>" for cell in row.cells)
     return f'<tr{_css_class(row.look)}><th scope="row">{name}</th>{cells}</tr>'
 
 
 def _html_cell(cell: Cell) -> str:
-    text = _html_text(cell.text)
+    text = f"<strong>{_html_text(cell.text)}</strong>" if cell.best else _html_text(cell.text)
+    notes = (re.sub("`(.+?)`", r"<code>\1</code>", escape(note)) for note in cell.notes)
+    below = "".join(f'<div class="note">{note}</div>' for note in notes)
     links = "".join(
         f'<button type="button" class="show" data-scenario="{escape(name)}" '
         f'data-instance="{number}">{number}</button>'
         for name, number in cell.links
     )
-    notes = "".join(map(_html_note, cell.notes))
-    return f"{f'<strong>{text}</strong>' if cell.best else text}{notes}{links}"
-
-
-def _html_note(note: str) -> str:
-    shown = re.sub("`(.+?)`", r"<code>\1</code>", escape(note))
-    return f'<div class="note">{shown}</div>'
+    return f"{text}{below}{links}"
 
 
 def _html_text(text: str) -> str:
@@ -114,7 +116,9 @@ def _css_class(name: str) -> str:
 
 def to_markdown(table: Table) -> str:
     """Return a table as Markdown, with its caption below; names of rows "focus" are bold."""
-    heads = [", ".join(filter(None, [plain(one.label), one.unit])) for one in table.headings]
+    heads = [
+        ", ".join(filter(None, [plain(heading.label), heading.unit])) for heading in table.headings
+    ]
     lines = [heads, ["---"] * len(heads)]
     for row in table.rows:
         name = f"**{plain(row.name)}**" if row.look == "focus" else plain(row.name)
@@ -150,60 +154,55 @@ def print_table(console: Console, table: Table) -> None:
         shown = Shown(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
         shown.show_header = bool(table.headings)
         for place, column in enumerate(texts):
-            fixed = place == 0 or bool(numbers)
-            shown.add_column(text_for(console, *column.heading), no_wrap=fixed, overflow="fold")
+            is_fixed = place == 0 or bool(numbers)
+            shown.add_column(text_for(console, *column[0]), no_wrap=is_fixed, overflow="fold")
         right: Any = {"justify": "right", "overflow": "fold", "vertical": "top"}
         for column in group:
-            shown.add_column(text_for(console, *column.heading), **right, width=column.width)
-        for cells in zip(*(column.cells for column in [*texts, *group]), strict=True):
+            shown.add_column(text_for(console, *column[0]), **right, width=_width(column))
+        for cells in list(zip(*texts, *group, strict=True))[1:]:
             shown.add_row(*(text_for(console, *lines) for lines in cells))
         console.print(Padding(shown, (1, 0)) if numbers else shown)
     if table.caption:
         console.print(text_for(console, table.caption))
 
 
-class _Column(NamedTuple):
-    heading: tuple[str, ...]  # a text, and its notes
-    cells: Sequence[tuple[str, ...]]  # likewise
-
-    @property
-    def width(self) -> int:
-        widest = max((len(line) for cell in self.cells for line in _lines(cell)), default=0)
-        return max(widest, min(max(map(len, _lines(self.heading))), _NAME_WIDTH))
-
-
-def _lines(cell: tuple[str, ...]) -> list[str]:
-    return "\n".join(cell).split("\n")
+_Column: TypeAlias = list[tuple[str, ...]]
+"""A heading and cells, each a text and its notes."""
 
 
 def _columns(table: Table, written: Callable[[str], str]) -> tuple[list[_Column], list[_Column]]:
     """Return the columns of text, and those of numbers, as they are written."""
-    names = [Cell(row.name, (row.note,) if row.note else ()) for row in table.rows]
-    columns = list(zip(*((name, *row.cells) for name, row in zip(names, table.rows)), strict=True))
+    rows = [(Cell.of(row.name, row.note), *row.cells) for row in table.rows]
+    columns = list(zip(*rows, strict=True))
     headings = table.headings or (Heading("", is_text=True),) * len(columns)
     texts: list[_Column] = []
     numbers: list[_Column] = []
-    for place, (one, cells) in enumerate(zip(headings, columns, strict=True)):
-        kind = texts if place == 0 or one.is_text else numbers
-        heading = Cell(one.label, (f"[{one.unit}]",) if one.unit else ())
-        first, *others = (tuple(map(written, (c.text, *c.notes))) for c in (heading, *cells))
-        kind.append(_Column(first, others))
+    for place, (heading, cells) in enumerate(zip(headings, columns, strict=True)):
+        first = Cell.of(heading.label, f"[{heading.unit}]" if heading.unit else "")
+        column = [tuple(map(written, (cell.text, *cell.notes))) for cell in (first, *cells)]
+        (texts if place == 0 or heading.is_text else numbers).append(column)
     return texts, numbers
+
+
+def _width(column: _Column) -> int:
+    """Return the width of the widest cell, or of the heading if that is wider and not long."""
+    heading, *cells = (max(map(len, "\n".join(lines).split("\n"))) for lines in column)
+    return max([*cells, min(heading, _NAME_WIDTH)])
 
 
 def _side_by_side(
     width: int, texts: Sequence[_Column], numbers: Sequence[_Column]
 ) -> Iterator[list[_Column]]:
     """Group the columns of numbers that fit next to those of text, at least one in each group."""
-    taken = sum(column.width + _GAP for column in texts) - _GAP
+    taken = sum(_width(column) + _GAP for column in texts) - _GAP
     group: list[_Column] = []
     used = taken
     for column in numbers:
-        if group and used + _GAP + column.width > width:
+        if group and used + _GAP + _width(column) > width:
             yield group
             group, used = [], taken
         group.append(column)
-        used += _GAP + column.width
+        used += _GAP + _width(column)
     yield group
 
 
@@ -260,7 +259,7 @@ def estimate_cell(row: Mapping[Any, Any], decimals: int) -> Cell:
     if 1 < size < math.inf:
         digits_before_point = int(math.log10(size)) + 1
         decimals = max(0, min(decimals, 3 - digits_before_point))
-    notes = [interval(row["low"], row["high"], decimals)]
-    if row["missing"]:
-        notes.append(f"{row['count']} of {row['count'] + row['missing']}")
-    return Cell(number(row["estimate"], decimals), tuple(filter(None, notes)))
+    part = f"{row['count']} of {row['count'] + row['missing']}" if row["missing"] else ""
+    return Cell.of(
+        number(row["estimate"], decimals), interval(row["low"], row["high"], decimals), part
+    )
