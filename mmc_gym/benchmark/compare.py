@@ -9,12 +9,12 @@ import platform
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from functools import cached_property
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 from rich.console import Console
@@ -23,10 +23,9 @@ from mmc_gym._console import make_console, print_written, progress_bar, text_for
 from mmc_gym._errors import require_choice, require_names
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._tables import Cell, Heading, Row, Table, estimate_cell, print_table, to_html
-from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.agents.resolved import ResolvedAgent
-from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve, resolve_all
+from mmc_gym.agents.resolver import Agents, Statistics, Wrappers, resolve_all
+from mmc_gym.benchmark import suite
 from mmc_gym.benchmark.statistics import (
     CONFIDENCE,
     RESAMPLES,
@@ -36,19 +35,10 @@ from mmc_gym.benchmark.statistics import (
     summarize,
 )
 from mmc_gym.benchmark.store import episode_columns
-from mmc_gym.benchmark.suite import (
-    Arms,
-    control_note,
-    has_reference,
-    make_player,
-    minimum_jerk_episodes,
-    other_controls,
-    play_episodes,
-)
 from mmc_gym.envs.scenarios import EnvLike, Playable, parse_environment
 from mmc_gym.interface import InterfacedEnv, read_attribute
-from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, leave_out_failures
-from mmc_gym.measures.catalogue import shown_measures
+from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, words
+from mmc_gym.measures.catalogue import leave_out_failures, shown_measures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,59 +106,56 @@ def compare(
     {'random': 2, 'minimum jerk (ideal)': 2}
     """
     shared: Any = {"allow_pickle": allow_pickle, "wrapper": wrapper, "statistics": statistics}
-    found = resolve_all(agents, every_training=False, **shared)
-    labels = [agent.label for agent in found]
-    wanted = require_names("focus", focus, dict.fromkeys(labels))
-    own = [agent.label for agent in found if agent.knowledge.kind == "yours"]
-    chosen = tuple(dict.fromkeys(wanted or own or labels[:1]))
-    found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
+    resolved_agents = resolve_all(agents, every_training=False, **shared)
+    labels = [agent.label for agent in resolved_agents]
+    named = require_names("focus", focus, dict.fromkeys(labels))
+    yours = [agent.label for agent in resolved_agents if agent.knowledge.kind == "yours"]
+    focus = tuple(dict.fromkeys(named or yours or labels[:1]))
+    resolved_agents.sort(key=lambda agent: [*focus, agent.label].index(agent.label))
     seeds, seed = episode_seeds(seed, episodes), int(seed)
     if out is not None:
         out = check_folder(out, "out")
     scenario = parse_environment(env, env_kwargs, interface)
-    envs: list[gym.Env[Any, Any]] = []
-    players: list[Predictor] = []
-    played: list[tuple[Episode, ...]] = []
-    steps: dict[str, int | None] = {}
-    controls: dict[str, str] = {}
+    contestants: list[Contestant] = []
     with ExitStack() as stack:
-        for agent in found:
-            made, player = make_player(agent, scenario)
-            stack.callback(made.close)
-            envs.append(made)
-            players.append(player)
-            steps[agent.label] = getattr(player, "training_steps", None)
-            controls[agent.label] = str(read_attribute(made, "control"))
-        arms = stack.enter_context(closing(Arms(scenario)))
-        reach = float(envs[0].get_wrapper_attr("reach"))
+        players = []
+        for agent in resolved_agents:
+            agent_env, player = suite.make_player(agent, scenario)
+            stack.callback(agent_env.close)
+            players.append((agent, agent_env, player))
+        first_env = players[0][1]
+        reach = float(first_env.get_wrapper_attr("reach"))
+        arms = stack.enter_context(closing(suite.Arms(scenario)))
         bar = stack.enter_context(progress_bar())
         task = bar.add_task("", total=len(players) * len(seeds))
-        for agent, made, player in zip(found, envs, players):
+        for agent, agent_env, player in players:
             bar.update(task, description=agent.label)
-            played.append(
-                play_episodes(arms, made, player, seeds, on_episode=lambda _: bar.advance(task))
+            contestants.append(
+                Contestant(
+                    label=agent.label,
+                    training_seed=agent.training_seed,
+                    training_steps=getattr(player, "training_steps", None),
+                    control=str(read_attribute(agent_env, "control")),
+                    episodes=suite.play_episodes(
+                        arms, agent_env, player, seeds, on_episode=lambda _: bar.advance(task)
+                    ),
+                )
             )
-    if has_reference(envs[0]):
-        found.append(resolve(REFERENCE))
-        played.append(minimum_jerk_episodes(played[0]))
-        steps[REFERENCE] = 0
-    recorded: dict[str, tuple[Episode, ...]] = {}
-    for agent, one in zip(found, played):
-        recorded[agent.label] = recorded.get(agent.label, ()) + one
-    later = other_controls(controls).keys() - set(chosen) | {REFERENCE}
-    table = _tidy(found, played)
+    if suite.has_reference(first_env):
+        ideal = suite.minimum_jerk_episodes(contestants[0].episodes)
+        contestants.append(Contestant(REFERENCE, ideal, training_steps=0))
+    table = pd.concat([contestant.table() for contestant in contestants], ignore_index=True)
+    table = table.astype({"training_seed": "Int64"})
     comparison = Comparison(
         env=scenario.name,
         seed=seed,
         reach=reach,
-        focus=chosen,
-        recorded=dict(sorted(recorded.items(), key=lambda item: item[0] in later)),
-        training_steps=steps,
+        focus=focus,
+        contestants=tuple(contestants),
         episodes=table,
         summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
         env_kwargs=dict(scenario.arguments),
-        controls=controls,
-        has_interface=isinstance(envs[0].unwrapped, InterfacedEnv),
+        has_interface=isinstance(first_env.unwrapped, InterfacedEnv),
     )
     # Files first: an error in printing should not lose them.
     written = comparison.write(out) if out is not None else []
@@ -176,6 +163,23 @@ def compare(
         comparison.print(console, explain)
         print_written(console, written)
     return comparison
+
+
+@dataclass(frozen=True, eq=False)
+class Contestant:
+    """A training of an agent, or an agent without training, and the episodes that it played."""
+
+    label: str  #: the agent's
+    episodes: tuple[Episode, ...]
+    training_seed: int | None = None  #: None if it was not trained, or not known
+    training_steps: int | None = None  #: environment steps; None if unknown
+    control: str = ""  #: the control mode in which it acted; empty for the ideal hand
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each episode, see `Comparison.episodes`."""
+        columns: dict[str, Any] = {"agent": self.label, "training_seed": self.training_seed}
+        columns |= {"episode": range(len(self.episodes)), **episode_columns(self.episodes)}
+        return pd.DataFrame(columns).drop(columns="duration")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,10 +193,7 @@ class Comparison:
     seed: int  #: of the starts, the targets and the resampling
     reach: float  #: of the arm, segment lengths
     focus: tuple[str, ...]  #: the agents to compare, which come first
-    #: the episodes of each agent, of one training after the other, and of `REFERENCE` if there are
-    #: any; the i-th of each training have the same start and target
-    recorded: Mapping[str, tuple[Episode, ...]]
-    training_steps: Mapping[str, int | None]  #: environment steps, by agent; None if unknown
+    contestants: tuple[Contestant, ...]  #: each training of each agent, and `REFERENCE` if it is in
     #: one row per agent, training and episode: agent, training_seed, episode, seed, start, target,
     #: measures
     episodes: pd.DataFrame
@@ -200,33 +201,56 @@ class Comparison:
     #: target, for measures of `successes_only`
     summary: pd.DataFrame
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the environment
-    controls: Mapping[str, str] = field(default_factory=dict)  #: control mode, by agent
     has_interface: bool = False  #: whether the environment is one of yours with an `InterfacedEnv`
+
+    @cached_property
+    def recorded(self) -> dict[str, tuple[Episode, ...]]:
+        """The episodes of each agent, of one training after the other, and of `REFERENCE`.
+
+        The i-th of each training have the same start and target.
+        """
+        last = words.other_controls(self.controls).keys() - set(self.focus) | {REFERENCE}
+        recorded: dict[str, tuple[Episode, ...]] = {}
+        for contestant in sorted(self.contestants, key=lambda contestant: contestant.label in last):
+            before = recorded.get(contestant.label, ())
+            recorded[contestant.label] = before + contestant.episodes
+        return recorded
+
+    @property
+    def training_steps(self) -> dict[str, int | None]:
+        """The environment steps of each agent's training; None if unknown."""
+        return {contestant.label: contestant.training_steps for contestant in self.contestants}
+
+    @property
+    def controls(self) -> dict[str, str]:
+        """The control mode of each agent, without the ideal hand."""
+        acting = (contestant for contestant in self.contestants if contestant.label != REFERENCE)
+        return {contestant.label: contestant.control for contestant in acting}
 
     @property
     def agents(self) -> list[str]:
-        """The labels of the agents, without the ideal hand unless it is alone."""
-        return [label for label in self.recorded if label != REFERENCE] or [REFERENCE]
+        """The labels of the agents, without the ideal hand."""
+        return [label for label in self.recorded if label != REFERENCE]
 
     @property
     def trainings(self) -> dict[str, int]:
         """The number of trainings of each agent; 1 also for an agent without training."""
-        return {agent: len(of) // self._episodes for agent, of in self.recorded.items()}
+        return {label: len(of) // self._episodes for label, of in self.recorded.items()}
 
     @property
     def _episodes(self) -> int:
-        return int(self.episodes["episode"].nunique())
+        return len(self.contestants[0].episodes)
 
     @property
     def _first(self) -> Episode:
-        return next(iter(self.recorded.values()))[0]
+        return self.contestants[0].episodes[0]
 
     @property
     def headline(self) -> str:
         """The success of each agent, in a line."""
         means = self.episodes.groupby("agent")["success"].mean()[self.agents]
         success = MEASURES["success"]
-        shares = ", ".join(f"{agent} {success.quantity(mean)}" for agent, mean in means.items())
+        shares = ", ".join(f"{label} {success.quantity(mean)}" for label, mean in means.items())
         return f"{success.label}: {shares}"
 
     @property
@@ -237,14 +261,31 @@ class Comparison:
         of the time to the target, over those in which both ended there.
         """
         lines = []
-        for number, agent in enumerate(self.focus):
-            others = [one for one in self.agents if one not in self.focus[: number + 1]]
-            for name, words in _DIFFERENCES.items():
-                measure = MEASURES[name]
-                found = {other: self._difference(measure, agent, other) for other in others}
-                if text := _in_words(measure, words, found):
-                    lines.append(f"{agent}, {measure.label}: {text}")
+        for number, agent in enumerate(self.focus, start=1):
+            others = [label for label in self.agents if label not in self.focus[:number]]
+            for name in _DIFFERENCES:
+                if text := self._in_words(MEASURES[name], agent, others):
+                    lines.append(f"{agent}, {MEASURES[name].label}: {text}")
         return "\n".join(lines)
+
+    def _in_words(self, measure: Measure, agent: str, others: Sequence[str]) -> str:
+        """Return how much an agent differs from others: "0.06 s slower than ppo [−0.04, 0.16]".
+
+        Those from which it differs alike are together.
+        """
+        unit, higher, lower = _DIFFERENCES[measure.name]
+        groups: dict[tuple[str, str], list[str]] = {}
+        for other in others:
+            estimate, low, high = self._difference(measure, agent, other)
+            if not math.isfinite(estimate):
+                continue
+            word = higher
+            if estimate < 0:
+                low, high, word = -high, -low, lower
+            size = f"{measure.number(abs(estimate))} {unit} {word} than" if estimate else "equal to"
+            groups.setdefault((size, measure.interval(low, high)), []).append(other)
+        texts = (f"{size} {', '.join(labels)} {ends}" for (size, ends), labels in groups.items())
+        return "; ".join(map(str.rstrip, texts))
 
     def _difference(self, measure: Measure, agent: str, other: str) -> Estimate:
         """Estimate the statistic of one agent less that of another, NaN without common episodes."""
@@ -252,74 +293,59 @@ class Comparison:
         for label in (agent, other):
             values = self.episodes.loc[self.episodes["agent"] == label, measure.name]
             tables[label] = values.to_numpy(np.float64).reshape(-1, self._episodes)
-        both = np.all([np.isfinite(one).any(axis=0) for one in tables.values()], axis=0)
+        both = np.all([np.isfinite(table).any(axis=0) for table in tables.values()], axis=0)
         if not both.any():
             return Estimate(math.nan, math.nan, math.nan)
-        scores = Scores((int(both.sum()),), {name: (of[:, both],) for name, of in tables.items()})
+        common = {label: (table[:, both],) for label, table in tables.items()}
+        scores = Scores((int(both.sum()),), common)
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property
-    def _shown(self) -> tuple[Measure, ...]:
+    def _shown(self) -> list[Measure]:
         """The measures of the table; those that an interface gives no values of are left out."""
-        if not self.has_interface:
-            return shown_measures()
         known = self.summary.loc[self.summary["count"] > 0, "measure"]
-        return tuple(one for one in shown_measures() if one.name in set(known))
+        names = set(known) if self.has_interface else MEASURES.keys()
+        return [measure for measure in shown_measures() if measure.name in names]
 
     @property
     def note(self) -> str:
         """How to read the numbers, in short: the lines below the table."""
-        trainings = f"; of {self._several} over trainings, too" if self._several else ""
-        return (
-            f"{self._played} Medians (of shares means) with 95 % intervals over episodes, NOT over "
-            f"trainings{trainings}. k of {self._episodes}: as many have a value. --explain (in "
-            "Python explanation) says more."
-        )
-
-    @property
-    def _several(self) -> str:
-        """The agents with several trainings, and how many; empty without any."""
-        return ", ".join(f"{agent} ({n})" for agent, n in self.trainings.items() if n > 1)
-
-    @property
-    def _played(self) -> str:
-        arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
-        return (
-            f"{self.env}{' with ' if arguments else ''}{arguments}, {self._episodes} episodes, "
-            f"same starts and targets for all. {control_note(self.controls)}"
-        )
+        return self._explain(words.PLAYED, words.COMPARISON)
 
     @property
     def explanation(self) -> str:
         """How to read the numbers, in full: with `--explain`, and in summary.json."""
-        shown, time = self._shown, MEASURES["time_to_target"].label
-        means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
-        of_all = ", ".join(one.label for one in shown if not one.successes_only)
-        near = self._first.tolerance
-        within = "as the environment says" if math.isnan(near) else f"within {near:g}"
-        sentences = [
-            self._played,
-            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals, Wilson's of a "
-            f"share in one training; lengths in segment lengths; at the target: {within}.",
-            f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{self._episodes} have a value (none where the hand started there).",
-        ]
-        if REFERENCE in self.recorded:
-            sentences.append(f"{REFERENCE}: a hand without an arm, through the same measures.")
-        if self.differences:
-            sentences.append(
-                f"Differences are of the same episodes of both ({time}: where both ended there)."
-            )
-        sentences.append(f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all.")
-        if several := self._several:
-            over = "replicate over trainings (so many) and episodes."
-            sentences.append(f"The intervals of {several} {over}")
-        sentences.append(
-            f"The intervals{' of the others' if several else ''} replicate over episodes (starts "
-            "and targets), NOT over training seeds: each agent is the result of one training, or "
-            "of none."
+        sentences = {
+            words.PLAYED: True,
+            words.STATISTICS: True,
+            words.IDEAL_HAND: REFERENCE in self.recorded,
+            words.DIFFERENCES: bool(self.differences),
+            words.SHOWN: True,
+            words.SEVERAL_TRAININGS: max(self.trainings.values()) > 1,
+            words.OVER_EPISODES: True,
+        }
+        return self._explain(*(sentence for sentence, is_so in sentences.items() if is_so))
+
+    def _explain(self, *sentences: str) -> str:
+        """Fill the facts of the comparison into sentences of `words`."""
+        shown, tolerance = self._shown, self._first.tolerance
+        several = ", ".join(f"{label} ({n})" for label, n in self.trainings.items() if n > 1)
+        return " ".join(sentences).format(
+            env=self.env,
+            arguments=f" with {words.arguments(self.env_kwargs)}" if self.env_kwargs else "",
+            episodes=self._episodes,
+            controls=words.control_note(self.controls),
+            trainings=f"; of {several} over trainings, too" if several else "",
+            several=several,
+            others=" of the others" if several else "",
+            means=", ".join(measure.label for measure in shown if measure.statistic == "mean"),
+            of_all=", ".join(measure.label for measure in shown if not measure.successes_only),
+            within="as the environment says" if math.isnan(tolerance) else f"within {tolerance:g}",
+            reference=REFERENCE,
+            time=MEASURES["time_to_target"].label,
+            known=len(MEASURES),
+            shown=len(shown),
         )
-        return " ".join(sentences)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -369,12 +395,15 @@ class Comparison:
         """
         from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 
-        def plotted(one: Episode) -> PlottedMovement:
-            return PlottedMovement(one.seen_hands[:, :2], one.target[:2], one.speeds)
-
-        movements = {agent: list(map(plotted, of)) for agent, of in self.recorded.items()}
-        one = self._first
-        return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
+        movements = {
+            label: [
+                PlottedMovement(episode.seen_hands[:, :2], episode.target[:2], episode.speeds)
+                for episode in episodes
+            ]
+            for label, episodes in self.recorded.items()
+        }
+        tolerance, control_step = self._first.tolerance, self._first.control_step
+        return paths_and_profiles(movements, self.reach, tolerance, control_step, figure)
 
     def print(self, console: Console | None = None, explain: bool = False) -> None:
         """Print headline, table and note, or `explanation`; to standard output by default."""
@@ -416,52 +445,20 @@ class Comparison:
     @property
     def _table(self) -> Table:
         """The table as it is printed: a row for each measure, a column for each agent."""
-        found: dict[Any, Any] = {
-            (row["agent"], row["measure"]): row for row in self.summary.to_dict("records")
-        }
+        summary = {(row["agent"], row["measure"]): row for row in self.summary.to_dict("records")}
         rows = []
-        for one in self._shown:
-            best = Cell(one.best.replace("neither", ""))
-            cells = (estimate_cell(found[agent, one.name], one.decimals) for agent in self.recorded)
-            unit = f"[{one.unit}]" if one.unit else ""
-            rows.append(Row(one.label, (best, *cells), unit))
-        steps = (self.training_steps[agent] for agent in self.recorded)
-        trained = (Cell("unknown" if one is None else f"{one:,}") for one in steps)
-        others = other_controls(self.controls)
-        agents = (Heading(agent, others.get(agent, "")) for agent in self.recorded)
-        return Table(
-            headings=(Heading(""), Heading("best", is_text=True), *agents),
-            rows=(*rows, Row("training", (Cell(""), *trained), "[env steps]")),
-            caption=self.note,
-        )
-
-
-def _in_words(
-    measure: Measure, words: tuple[str, str, str], differences: Mapping[str, Estimate]
-) -> str:
-    """Return how much an agent differs from others: "0.06 s slower than ppo [−0.04, 0.16]".
-
-    Those from which it differs alike are together; for `words` see `_DIFFERENCES`.
-    """
-    unit, higher, lower = words
-    groups: dict[tuple[str, str], list[str]] = {}
-    for other, found in differences.items():
-        if not math.isfinite(found.estimate):
-            continue
-        low, high, word = found.low, found.high, higher
-        if found.estimate < 0:
-            low, high, word = -found.high, -found.low, lower
-        size = f"{measure.number(abs(found.estimate))} {unit} {word} than"
-        what = size if found.estimate else "equal to"
-        groups.setdefault((what, measure.interval(low, high)), []).append(other)
-    texts = [f"{what} {', '.join(them)} {ends}".rstrip() for (what, ends), them in groups.items()]
-    return "; ".join(texts)
-
-
-def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:
-    tables = []
-    for agent, episodes in zip(agents, played):
-        who = {"agent": agent.label, "training_seed": agent.training_seed}
-        columns = {**who, "episode": range(len(episodes)), **episode_columns(episodes)}
-        tables.append(pd.DataFrame(columns).drop(columns="duration"))
-    return pd.concat(tables, ignore_index=True).astype({"training_seed": "Int64"})
+        for measure in self._shown:
+            best = Cell(measure.best.replace("neither", ""))
+            cells = (
+                estimate_cell(summary[label, measure.name], measure.decimals)
+                for label in self.recorded
+            )
+            unit = f"[{measure.unit}]" if measure.unit else ""
+            rows.append(Row(measure.label, (best, *cells), unit))
+        steps = (self.training_steps[label] for label in self.recorded)
+        trained = (Cell("unknown" if count is None else f"{count:,}") for count in steps)
+        rows.append(Row("training", (Cell(""), *trained), "[env steps]"))
+        others = words.other_controls(self.controls)
+        agents = (Heading(label, others.get(label, "")) for label in self.recorded)
+        headings = (Heading(""), Heading("best", is_text=True), *agents)
+        return Table(headings, tuple(rows), caption=self.note)

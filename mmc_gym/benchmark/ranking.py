@@ -22,10 +22,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -34,11 +34,11 @@ from rich.console import Console
 from mmc_gym._console import text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym._tables import Cell, Heading, Row, Table, count, interval, number, print_table
+from mmc_gym._tables import Cell, Heading, Row, Table, interval, number, print_table
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import CellKey, Manifest, read_episodes, read_manifest, reasons
-from mmc_gym.benchmark.suite import control_note
+from mmc_gym.measures import words
 
 BASELINE_AGENT = "mmc"
 _DIGITS = 12  # so that the order of summation makes no difference
@@ -73,24 +73,29 @@ def rank_agents(
     success, settled = (
         Bootstrap.of(scores, value, resamples, seed) for value in ("success", "settled")
     )
-    exact = _mean_over_environments(scores, "success", "mean")
+    shares = _mean_over_environments(scores, "success", "mean")
     times = _mean_over_environments(scores, "time_to_target", "median")
-    lost = Counter(one.agent for one in missing if one.environment in set(scores["environment"]))
+    lost = Counter(key.agent for key in missing if key.environment in set(scores["environment"]))
     rows = []
     for agent in success.scores.values:
-        found = success.estimate(agent)
         improvement = Estimate(math.nan, math.nan, math.nan)
         if baseline in success.scores.values:
-            two = [name for name in settled.scores.values if name in (agent, baseline)]
-            pair = replace(settled.scores, values={one: settled.scores.values[one] for one in two})
-            improvement = Bootstrap(pair, resamples, seed).improvement(agent, baseline)
+            tables = settled.scores.values
+            pair = {name: tables[name] for name in tables if name in (agent, baseline)}
+            bootstrap = Bootstrap(replace(settled.scores, values=pair), resamples, seed)
+            improvement = bootstrap.improvement(agent, baseline)
+        estimates = {
+            "success": success.estimate(agent)._replace(estimate=float(shares[agent])),
+            "settled": settled.estimate(agent),
+            "improvement": improvement,
+        }
+        row: dict[str, Any] = {"agent": agent, "control": (controls or {}).get(agent, "")}
+        for name, (estimate, low, high) in estimates.items():
+            ends = {name: estimate, f"{name}_low": low, f"{name}_high": high}
+            row |= {column: value + 0.0 for column, value in ends.items()}  # no -0.0
         rows.append(
             {
-                "agent": agent,
-                "control": (controls or {}).get(agent, ""),
-                **_columns("success", found._replace(estimate=float(exact[agent]))),
-                **_columns("settled", settled.estimate(agent)),
-                **_columns("improvement", improvement),
+                **row,
                 "time_to_target": float(times[agent]),
                 "training_seeds": success.scores.seeds[agent],
                 "environments": len(success.scores.instances),
@@ -107,7 +112,7 @@ def rank_agents(
     ranks: list[int] = []
     for block in blocks:
         scored = list(zip(block["success"], block["time_to_target"].fillna(math.inf)))
-        ranks += [1 + scored.index(one) for one in scored]  # 1, 2, 2, 4, …
+        ranks += [1 + scored.index(score) for score in scored]  # 1, 2, 2, 4, …
     ordered = pd.concat(blocks, ignore_index=True)
     ordered.insert(0, "rank", ranks)
     return ordered
@@ -118,10 +123,10 @@ def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ())
 
     Columns agent, training_seed, environment, instance, success, time_to_target, settled.
     """
-    played = episodes[episodes["agent"] != REFERENCE]
-    scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
-    settled = 1 - played["time_to_target"] / played["duration"]
-    unknown = set(played.loc[settled.isna() & (played["success"] > 0), "environment"])
+    scores = episodes[episodes["agent"] != REFERENCE]
+    settled = 1 - scores["time_to_target"] / scores["duration"]
+    unknown = set(scores.loc[settled.isna() & (scores["success"] > 0), "environment"])
+    scores = scores[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
     scores["settled"] = settled.fillna(0.0)
     instances = {
         name: sorted(set(group["instance"])) for name, group in scores.groupby("environment")
@@ -152,11 +157,6 @@ def ranked_scores(scores: pd.DataFrame) -> pd.DataFrame:
     return scores[scores["environment"].isin(common)].reset_index(drop=True)
 
 
-def _columns(name: str, found: Estimate) -> dict[str, float]:
-    values = {name: found.estimate, f"{name}_low": found.low, f"{name}_high": found.high}
-    return {column: value + 0.0 for column, value in values.items()}  # no -0.0
-
-
 def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -> pd.Series[float]:
     """Return, by agent, the mean over environments of the mean or median over episodes."""
     by_environment = scores.groupby(["agent", "environment"])[column].agg(statistic)
@@ -178,7 +178,7 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     episodes = read_episodes(folder, ["success", "time_to_target", "duration"])
     controls = {agent: manifest.control(agent) for agent in manifest.agents}
     try:
-        lost = [one.key for one in manifest.not_played]
+        lost = [cell.key for cell in manifest.not_played]
         ranking = rank_agents(episodes, lost, controls=controls)
     except UserError as error:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
@@ -191,45 +191,45 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
 
 def _table(manifest: Manifest, ranking: pd.DataFrame) -> Table:
     """Return the ranking as it is printed; columns without any value are left out."""
-    shows_lost = bool(ranking["not_played"].any())
-    is_compared = bool(ranking["improvement"].notna().any())
-    has_blocks = ranking["control"].replace("", None).nunique() > 1
-    headings = [Heading("#"), Heading("agent", is_text=True)]
-    headings += [Heading("acts by", is_text=True)] * has_blocks
-    headings += [Heading("success"), Heading("settled")]
-    headings += [Heading(f"better\nthan {BASELINE_AGENT}")] * is_compared
-    headings += [Heading("time", "s"), Heading("seeds"), *[Heading("not\nplayed")] * shows_lost]
-    rows = []
-    for row in ranking.to_dict("records"):
-        cells = [Cell(str(row["agent"])), *[Cell(str(row["control"]))] * has_blocks]
-        for name in ("success", "settled", *["improvement"] * is_compared):
-            ends = interval(row[f"{name}_low"], row[f"{name}_high"], 3)
-            cells.append(Cell(number(row[name], 3), (ends,) if ends else ()))
-        cells.append(Cell(number(row["time_to_target"], 2)))
-        counts = ("training_seeds", *["not_played"] * shows_lost)
-        cells += [Cell(str(row[name] or "–")) for name in counts]
-        rows.append(Row(str(row["rank"]), tuple(cells)))
-    return Table(tuple(headings), tuple(rows), _note(manifest, ranking))
+    columns: dict[Heading, Iterable[Cell]] = {}
+    columns[Heading("agent", is_text=True)] = map(Cell, ranking["agent"])
+    if ranking["control"].replace("", None).nunique() > 1:
+        columns[Heading("acts by", is_text=True)] = map(Cell, ranking["control"])
+    columns[Heading("success")] = _shares(ranking, "success")
+    columns[Heading("settled")] = _shares(ranking, "settled")
+    if ranking["improvement"].notna().any():
+        columns[Heading(f"better\nthan {BASELINE_AGENT}")] = _shares(ranking, "improvement")
+    columns[Heading("time", "s")] = (Cell(number(time, 2)) for time in ranking["time_to_target"])
+    columns[Heading("seeds")] = (Cell(str(seeds or "–")) for seeds in ranking["training_seeds"])
+    if ranking["not_played"].any():
+        columns[Heading("not\nplayed")] = (Cell(str(n or "–")) for n in ranking["not_played"])
+    cells = zip(*columns.values(), strict=True)
+    return Table(
+        headings=(Heading("#"), *columns),
+        rows=tuple(Row(str(rank), row) for rank, row in zip(ranking["rank"], cells, strict=True)),
+        caption=_note(manifest, ranking),
+    )
+
+
+def _shares(ranking: pd.DataFrame, name: str) -> Iterator[Cell]:
+    """Yield the share of each agent with its interval."""
+    for share, low, high in ranking[[name, f"{name}_low", f"{name}_high"]].to_numpy():
+        yield Cell.of(number(share, 3), interval(low, high, 3))
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
-    one, better = ranking.iloc[0], ""
-    scenarios, played = count(one["environments"], "scenario"), sum(manifest.cpu_seconds.values())
-    controls = dict(zip(ranking["agent"], ranking["control"]))
-    if ranking["improvement"].notna().any():
-        better = f" better than {BASELINE_AGENT}: probability of being settled longer, ½ if equal."
-    left_out = len(manifest.environments) - int(one["environments"])
-    partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
-    versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
-    mixed = f" Cells were played with several versions: {'; '.join(versions)}." if versions else ""
+    scenarios, instances = map(int, ranking.loc[0, ["environments", "instances"]])
+    is_compared = ranking["improvement"].notna().any()
+    versions = [f"{name} {text}" for name, text in manifest.versions.items() if ", " in text]
+    mixed = words.VERSIONS.format(versions="; ".join(versions)) if versions else ""
     if changed := ", ".join(manifest.changed):
-        mixed += f" These have changed since some of their cells were played: {changed}; "
-        mixed += "play them again in all scenarios."
-    return (
-        f"{scenarios}{partly}, {one['instances']} episodes of each training, the same for all. "
-        "Ranked by success, each scenario weighing the same, then by time (mean of medians). "
-        f"settled: part of an episode after which the hand stays at the target.{better} "
-        f"{control_note(controls)} 95 % bootstrap intervals over episodes, and trainings where "
-        "there are several. Cells that were not played count as without success. All cells took "
-        f"{played:.0f} s of one processor's time; {manifest.reused} were in the store.{mixed}"
+        mixed += words.CHANGED.format(changed=changed)
+    return words.RANKING.format(
+        scenarios=words.scenarios(scenarios, len(manifest.environments), "have not been"),
+        instances=instances,
+        improvement=words.IMPROVEMENT.format(baseline=BASELINE_AGENT) if is_compared else "",
+        controls=words.control_note(dict(zip(ranking["agent"], ranking["control"]))),
+        seconds=sum(manifest.cpu_seconds.values()),
+        reused=manifest.reused,
+        mixed=mixed,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -78,96 +77,79 @@ def find_scenarios(
         env_kwargs: keyword arguments of all environments.
         interface: the interface of your own environments, see `InterfacedEnv`.
     """
-    found: list[Playable]
+    scenarios: list[Playable]
     if isinstance(environments, Mapping):
-        found = [OwnEnvironment(name, env) for name, env in environments.items()]
+        scenarios = [OwnEnvironment(name, env) for name, env in environments.items()]
     else:
         names = [environments] if isinstance(environments, str) else environments
-        found = [find_scenario(one) for one in names]
-    chosen: list[Playable] = found or [*SCENARIOS.values()]
-    refuse_interface(interface, *chosen)
+        scenarios = [find_scenario(name) for name in names]
+    scenarios = scenarios or [*SCENARIOS.values()]
+    refuse_interface(interface, *scenarios)
     arguments = require_arguments("env_kwargs", env_kwargs)
-    for number, one in enumerate(chosen):
-        if isinstance(one, OwnEnvironment):
-            own = replace(one, interface=interface)
-            chosen[number] = own.with_arguments(**arguments).inspected()
+    by_name: dict[str, Playable] = {}
+    for scenario in scenarios:
+        if isinstance(scenario, OwnEnvironment):
+            scenario = replace(scenario, interface=interface)
+            scenario = scenario.with_arguments(**arguments).inspected()
         else:
-            one.refuse(arguments, *SET_BY_SCENARIOS)
-            chosen[number] = one.with_arguments(**arguments)
-    return {one.name: one for one in chosen}
+            scenario.refuse(arguments, *SET_BY_SCENARIOS)
+            scenario = scenario.with_arguments(**arguments)
+        by_name[scenario.name] = scenario
+    return by_name
 
 
-def make_player(agent: ResolvedAgent, played: Playable) -> tuple[gym.Env[Any, Any], Predictor]:
+def make_player(agent: ResolvedAgent, scenario: Playable) -> tuple[gym.Env[Any, Any], Predictor]:
     """Make the environment in an agent's control mode, and the agent for it.
 
     Issue a `MismatchWarning` if the control mode of a stable-baselines3 model is not known.
-    `control` in `played.arguments` sets the mode of agents that support several control modes, or
+    `control` in `scenario.arguments` sets the mode of agents that support several control modes, or
     whose control mode is not known.
 
     Raises:
         CannotActError: if the agent cannot act in the environment.
     """
-    asked = agent.own_control or played.arguments.get("control")
-    played = played.with_arguments(**agent.arguments)
-    made = agent.wrapped(played.make(asked or agent.control))
-    check_environment(made)
+    control = agent.own_control or scenario.arguments.get("control")
+    scenario = scenario.with_arguments(**agent.arguments)
+    env = agent.wrapped(scenario.make(control or agent.control))
+    check_environment(env)
     try:
-        player = agent.factory(made)
+        player = agent.factory(env)
     except ControlError as refusal:
-        made.close()
-        made = agent.wrapped(played.make(refusal.control))
-        player = agent.factory(made)
-    if not asked and isinstance(player, ModelAgent) and player.control is None:
+        env.close()
+        env = agent.wrapped(scenario.make(refusal.control))
+        player = agent.factory(env)
+    if not control and isinstance(player, ModelAgent) and player.control is None:
         warn_of_mismatch(
             f"{agent.label} does not declare the control mode that it was trained in, and acts by "
-            f"{read_attribute(made, 'control')}, the environment's default; --env-kwargs "
+            f"{read_attribute(env, 'control')}, the environment's default; --env-kwargs "
             "control=... gives another (in Python: env_kwargs)"
         )
-    return made, player
-
-
-def other_controls(controls: Mapping[str, str]) -> dict[str, str]:
-    """Return the control modes, by agent, of the agents that differ from most agents.
-
-    Agents that did not act have none, "", and do not differ.
-    """
-    modes = Counter(filter(None, controls.values())).most_common(1)
-    return {agent: one for agent, one in controls.items() if one and one != modes[0][0]}
-
-
-def control_note(controls: Mapping[str, str]) -> str:
-    """Return a sentence that names the control mode of each agent; empty if none has one."""
-    if not any(controls.values()):
-        return ""
-    others = other_controls(controls)
-    most = next(one for agent, one in controls.items() if one and agent not in others)
-    but = ", ".join(f"{agent} by {one}" for agent, one in others.items())
-    return f"All act by {most}{but and f', but {but}'}."
+    return env, player
 
 
 class Arms:
     """The vector environments of a scenario, made when needed and used by agents in turn."""
 
-    def __init__(self, played: Playable) -> None:
-        self._played = played
-        self._made: dict[tuple[int, str | None, str], MMCReachVectorEnv] = {}
+    def __init__(self, scenario: Playable) -> None:
+        self._scenario = scenario
+        self._vectors: dict[tuple[int, str | None, str], MMCReachVectorEnv] = {}
 
     def vector(self, count: int, control: str | None, context: Any) -> MMCReachVectorEnv | None:
         """Return this package's vector environment of `count` arms; None if it has none."""
         key = count, control, repr(context)
-        if key not in self._made:
+        if key not in self._vectors:
             more = {"observe_context": context} if context else {}
-            vector = self._played.with_arguments(**more).make_vec(count, control)
+            vector = self._scenario.with_arguments(**more).make_vec(count, control)
             if isinstance(vector, MMCReachVectorEnv):
-                self._made[key] = vector
+                self._vectors[key] = vector
             elif vector is not None:
                 vector.close()
-        return self._made.get(key)
+        return self._vectors.get(key)
 
     def close(self) -> None:
         """Close all vector environments."""
-        while self._made:
-            self._made.popitem()[1].close()
+        while self._vectors:
+            self._vectors.popitem()[1].close()
 
 
 def play_episodes(
@@ -187,16 +169,17 @@ def play_episodes(
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
-    vectors: list[Any] = []
+    vectors: list[MMCReachVectorEnv | None] = [None]
     if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
         facts = read_attribute(env, "control"), read_attribute(env, "context_scale")
-        vectors = [arms.vector(len(seeds[one]), *facts) for one in chunks]
-    if not vectors or None in vectors:
+        vectors = [arms.vector(len(seeds[chunk]), *facts) for chunk in chunks]
+    if None in vectors:
         return run_episodes(player, env, seeds, on_episode, options)
-    together: list[Episode] = []
-    for some, vector in zip(chunks, vectors):
-        together += run_episodes(player, vector, seeds[some], on_episode, options[some])
-    return tuple(together)
+    episodes: list[Episode] = []
+    for chunk, vector in zip(chunks, vectors, strict=True):
+        assert vector is not None
+        episodes += run_episodes(player, vector, seeds[chunk], on_episode, options[chunk])
+    return tuple(episodes)
 
 
 # The ideal hand: a reference for all movements that follows minimum jerk, without an arm.
@@ -229,35 +212,36 @@ def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
     if not episodes:
         return ()
     longest = max(len(episode.targets) for episode in episodes)
-    padded = (
+    padded = [
         np.pad(episode.targets, ((0, longest - len(episode.targets)), (0, 0)), mode="edge")
         for episode in episodes
-    )
-    targets = np.stack(list(padded), axis=1)
+    ]
+    targets = np.stack(padded, axis=1)
     starts = np.stack([episode.seen_hands[0] for episode in episodes])
     plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
     control_step = episodes[0].control_step
     movement = begin_movement(starts, targets[0], control_step)
-    hands: list[Floats] = [starts]  # one array per time, (episodes, 2)
+    positions: list[Floats] = [starts]  # one array per time, (episodes, 2)
     for target in targets[:-1]:
         movement = follow_target(movement, plan.position, target, control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
         movement = one_step_later(movement)
-        hands.append(np.asarray(plan.position, dtype=np.float64))
-    found = []
-    for episode, path in zip(episodes, np.stack(hands, axis=1), strict=True):
-        steps, own = len(episode.rewards), path[: len(episode.hands)]
-        unknown, no_joints = np.full(steps, np.nan), np.zeros((steps + 1, 0))
-        ideal = replace(
-            episode,
-            hands=own,
-            cursors=None,
-            distances=np.linalg.norm(own - episode.targets, axis=-1),
-            joint_angles=no_joints,
-            servo_impulses=no_joints[1:],
-            servo_work=no_joints[1:],
-            rewards=unknown,
-            action_times=unknown,
+        positions.append(np.asarray(plan.position, dtype=np.float64))
+    ideal = []
+    for episode, path in zip(episodes, np.stack(positions, axis=1), strict=True):
+        hands, no_joints = path[: len(episode.hands)], np.zeros((len(episode.hands), 0))
+        unknown = np.full(len(episode.rewards), np.nan)
+        ideal.append(
+            replace(
+                episode,
+                hands=hands,
+                cursors=None,
+                distances=np.linalg.norm(hands - episode.targets, axis=-1),
+                joint_angles=no_joints,
+                servo_impulses=no_joints[1:],
+                servo_work=no_joints[1:],
+                rewards=unknown,
+                action_times=unknown,
+            )
         )
-        found.append(ideal)
-    return tuple(found)
+    return tuple(ideal)

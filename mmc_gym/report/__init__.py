@@ -26,10 +26,10 @@ from mmc_gym._tables import plain, to_html, to_markdown
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import MANIFEST, TRIALS, reasons
 from mmc_gym.envs import render
-from mmc_gym.measures import MEASURES
+from mmc_gym.measures import MEASURES, words
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report import tables
-from mmc_gym.report.results import REPLAYED_INSTANCES, Results, listed, read_results
+from mmc_gym.report.results import REPLAYED_INSTANCES, Results, read_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,21 +75,24 @@ def write_report(
 
         experiments = read_experiments(store)
     if experiments and not (store / MANIFEST).exists():
-        known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
+        agents = chain(*(result.trials["agent"] for result in experiments))
+        known = list(dict.fromkeys(agents))
         focus = require_names("focus", focus, known)
-        names = listed([one.experiment.name for one in experiments])
-        headline = f"Learning over trials in {names}."
-        shown: dict[str, Any] = {"title": listed(list(focus) or known), "headline": headline}
+        names = words.listed([result.experiment.name for result in experiments])
+        shown: dict[str, Any] = {
+            "title": words.listed(list(focus) or known),
+            "headline": f"Learning over trials in {names}.",
+        }
     else:
         results = read_results(store, resamples, focus, yardstick)
         focus, shown = results.focus, _of_benchmark(results, format)
     shown["experiments"] = [
         {
-            "experiment": one.experiment,
-            "table": tables.experiment_table(one, focus),
-            "source": _picture(one.plot()),
+            "experiment": result.experiment,
+            "table": tables.experiment_table(result, focus),
+            "source": _picture(result.plot()),
         }
-        for one in experiments
+        for result in experiments
     ]
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
@@ -99,11 +102,8 @@ def write_report(
         lstrip_blocks=True,
     )
     pages.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    pages.filters |= {
-        "html": lambda one: Markup(to_html(one)),
-        "plain": plain,
-        "markdown": to_markdown,
-    }
+    pages.filters["html"] = lambda table: Markup(to_html(table))
+    pages.filters |= {"plain": plain, "markdown": to_markdown}
     pages.globals |= {"version": version("mmc-gym"), "results": None}
     return write_atomically(out, pages.get_template(f"report.{format}.j2").render(shown))
 
@@ -111,36 +111,35 @@ def write_report(
 def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
     shown: dict[str, Any] = {
         "results": results,
-        "title": listed(results.focus),
+        "title": words.listed(results.focus),
         "headline": _headline(results),
         "ranking": tables.ranking_table(results),
         "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
         "generalisation": tables.generalisation_table(results),
         "given": tables.given_table(results),
         "failures": tables.failure_table(results),
-        "tables": {key: tables.score_table(results, key) for key in results.environments},
+        "tables": {name: tables.score_table(results, name) for name in results.environments},
         "not_played": reasons(results.manifest.not_played),
     }
     if format == "html":
-        shown |= {"replay": replay(results), "learning": _learning_curves(results)}
-        if shown["generalisation"]:
-            from mmc_gym.report.curves import draw_generalisation  # takes long
+        from mmc_gym.report.curves import draw_generalisation  # takes long
 
-            figure = draw_generalisation(results)
-            shown["strengths"] = figure and _picture(figure)
+        shown |= {"replay": replay(results), "learning": _learning_curves(results)}
+        figure = draw_generalisation(results) if shown["generalisation"] else None
+        shown["strengths"] = figure and _picture(figure)
     return shown
 
 
 def _headline(results: Results) -> str:
     """Return a sentence for each agent in focus, with its success and rank."""
-    success, said, ranking = MEASURES["success"], [], results.ranking
+    success, sentences, ranking = MEASURES["success"], [], results.ranking
     for row in ranking.to_dict("records"):
         if row["agent"] in results.focus:
             interval = success.interval(row["success_low"], row["success_high"])
             share = f"{success.quantity(row['success'])} of its episodes {interval}".rstrip()
             rank = f"rank {row['rank']} of {len(ranking)}"
-            said.append(f"{row['agent']} ends at the target in {share}, {rank}.")
-    return " ".join(said)
+            sentences.append(f"{row['agent']} ends at the target in {share}, {rank}.")
+    return " ".join(sentences)
 
 
 def _learning_curves(results: Results) -> str | None:
@@ -148,11 +147,12 @@ def _learning_curves(results: Results) -> str | None:
 
     None, too, if the training seeds of no agent overlap, see `mean_curves`.
     """
-    if not any(results.identities[agent].cards for agent in results.focus):
-        return None
     from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves
 
-    curves = curve_rows({agent: results.identities[agent].cards for agent in results.agents})
+    cards = {agent: results.identities[agent].cards for agent in results.agents}
+    if not any(cards[agent] for agent in results.focus):
+        return None
+    curves = curve_rows(cards)
     by_steps, by_time = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if by_steps.empty or by_time.empty:
         return None
@@ -194,15 +194,21 @@ def replay(results: Results) -> dict[str, Any]:
     if "hand_z" in paths:  # the replay shows movements in the plane only
         paths = paths[paths["hand_z"].isna()]
     recorded = set() if paths.empty else set(paths["environment"])
-    scenes = {key: _scenes(results, key) for key in results.replayed_scenarios if key in recorded}
-    there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
+    scenes = {
+        name: _scenes(results, name) for name in results.replayed_scenarios if name in recorded
+    }
+    moving = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
     return {
         "worlds": {
-            key: {"step": one.control_step, "lengths": one.segment_lengths, "near": one.tolerance}
-            for key, one in results.environments.items()
-            if key in scenes
+            name: {
+                "step": scenario.control_step,
+                "lengths": scenario.segment_lengths,
+                "near": scenario.tolerance,
+            }
+            for name, scenario in results.environments.items()
+            if name in scenes
         },
-        "agents": [agent for agent in results.replayed if agent in there],
+        "agents": [agent for agent in results.replayed if agent in moving],
         "scenes": scenes,
         "chosen": results.replayed[:_SIDE_BY_SIDE],
         "colours": {
@@ -218,46 +224,45 @@ def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
     for agent in results.focus:
         for instance in results.replayed_failures.get((agent, environment), []):
             failed.setdefault(instance, []).append(agent)
-    instances = sorted(paths["instance"].unique(), key=lambda one: (one not in failed, one))
+    instances = sorted(
+        paths["instance"].unique(), key=lambda number: (number not in failed, number)
+    )
     instances = instances[: max(REPLAYED_INSTANCES, len(failed))]
-    steps = _steps_of_first_trainings(paths[paths["instance"].isin(instances)])
     lengths = results.environments[environment].segment_lengths
     scenes = []
     for instance in instances:
-        played = {agent: steps[instance, agent] for number, agent in steps if number == instance}
-        target = max((_points(one, "target") for one in played.values()), key=len)
+        steps = _steps_of_first_trainings(paths[paths["instance"] == instance])
+        target = max((_points(columns, "target") for columns in steps.values()), key=len)
         shown = target if np.ptp(target, axis=0).max() > 0 else target[:1]
-        agents = [agent for agent in results.replayed if agent in played]
+        agents = [agent for agent in results.replayed if agent in steps]
         scenes.append(
             {
                 "instance": int(instance) + 1,
                 "failed": failed.get(instance, []),
                 "target": [_compact(column) for column in shown.T],
-                "agents": {agent: _movement(played[agent], lengths) for agent in agents},
+                "agents": {agent: _movement(steps[agent], lengths) for agent in agents},
             }
         )
     return scenes
 
 
-def _steps_of_first_trainings(paths: pd.DataFrame) -> dict[tuple[int, str], dict[str, Floats]]:
-    """Return the paths of each agent's lowest training seed: columns by (instance, agent)."""
-    paths = paths.sort_values("step", kind="stable")
-    numbers = paths.drop(columns=["agent", "environment"])
-    columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
-    found = {}
-    groups: Any = paths.groupby(["instance", "agent"], observed=True).indices
-    for key, rows in groups.items():
-        seeds = np.nan_to_num(columns["training_seed"][rows])
-        first = rows[seeds == seeds.min()]
-        found[key] = {name: values[first] for name, values in columns.items()}
-    return found
+def _steps_of_first_trainings(paths: pd.DataFrame) -> dict[str, dict[str, Floats]]:
+    """Return the path of each agent's lowest training seed in an instance: columns by agent."""
+    steps = {}
+    for agent, path in paths.groupby("agent", observed=True):
+        seeds = path["training_seed"].fillna(0.0)
+        path = path[seeds == seeds.min()].sort_values("step", kind="stable")
+        numbers = path.drop(columns=["agent", "environment"])
+        steps[str(agent)] = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
+    return steps
 
 
 def _points(steps: Mapping[str, Floats], name: str) -> Floats:
     return np.stack([steps[f"{name}_x"], steps[f"{name}_y"]], axis=-1)
 
 
-def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, Any]:
+def _movement(steps: Mapping[str, Floats], lengths: Sequence[float]) -> dict[str, Any]:
+    """Return a movement for the replay, with the arm's angles if it has segments of `lengths`."""
     hand, cursor, target = (_points(steps, name) for name in ("hand", "cursor", "target"))
     joints = [values for name, values in steps.items() if name.startswith("joint_angle_")]
     angles = np.array(joints).reshape(-1, len(hand)).T
@@ -269,21 +274,21 @@ def _movement(steps: Mapping[str, Floats], given: Sequence[float]) -> dict[str, 
     }
     if np.abs(cursor - hand).max() > _SEEN_APART:
         movement["cursor"] = [_compact(column) for column in cursor.T]
-    if angles.size and angles.shape[1] == len(given) and not np.isnan(angles).any():
+    if angles.size and angles.shape[1] == len(lengths) and not np.isnan(angles).any():
         movement["angles"] = [_compact(column) for column in angles.T]
-        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, given)]
+        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, lengths)]
     return movement
 
 
-def _lengths(angles: Floats, hand: Floats, given: Sequence[float]) -> list[float]:
-    """Return segment lengths that put the arm's end at the hand: `given`, or the nearest ones."""
+def _lengths(angles: Floats, hand: Floats, known: Sequence[float]) -> list[float]:
+    """Return segment lengths that put the arm's end at the hand: `known`, or the nearest ones."""
     turned = np.cumsum(angles, axis=1)
     design = np.concatenate([np.cos(turned), np.sin(turned)])
-    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(given)
+    missed = hand.T.ravel() - design @ np.asarray(known)
     if np.abs(missed).max() <= _FITS:
-        return list(given)
+        return list(known)
     change, *_ = np.linalg.lstsq(design, missed, rcond=None)
-    return [max(float(length), 0.0) for length in np.asarray(given) + change]
+    return np.maximum(np.asarray(known) + change, 0.0).tolist()
 
 
 def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:

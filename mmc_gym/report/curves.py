@@ -34,6 +34,7 @@ from mmc_gym.agents.resolver import Agents, resolve_all
 from mmc_gym.benchmark.statistics import success_interval
 from mmc_gym.envs.names import BASELINE
 from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.measures import words
 from mmc_gym.report.results import Results
 
 
@@ -43,15 +44,14 @@ def read_cards(agents: Agents = ()) -> dict[str, list[PolicyCard]]:
     The agents are names, files, folders or patterns, such as "runs/mine-*", see
     `mmc_gym.agents.resolve`; by default those of a benchmark that ship.
     """
-    shipped = sorted(
-        name for name, entry in AGENTS.items() if entry.training_seeds and entry.is_ranked
-    )
+    entries = AGENTS.items()
+    shipped = sorted(name for name, entry in entries if entry.training_seeds and entry.is_ranked)
     cards: dict[str, list[PolicyCard]] = {}
-    for one in resolve_all(agents or shipped):
-        if one.card is None:
-            raise UserError(f"agents must be trained policies with a card, got {one.label!r}")
-        seed = 0 if one.training_seed is None else one.training_seed
-        cards.setdefault(one.label, []).append(replace(one.card, seed=seed))
+    for agent in resolve_all(agents or shipped):
+        if agent.card is None:
+            raise UserError(f"agents must be trained policies with a card, got {agent.label!r}")
+        card = replace(agent.card, seed=agent.training_seed or 0)
+        cards.setdefault(agent.label, []).append(card)
     return cards
 
 
@@ -84,22 +84,16 @@ def mean_curves(curves: pd.DataFrame, against: Literal["steps", "cpu_seconds"]) 
         points = [*group.loc[group["seed"] == ends.idxmax(), against], ends.min()]
         known = known[known.index.isin(points) & (known.index <= ends.min())]
         for position, successes in zip(known.index, known.to_numpy(), strict=True):
-            found = success_interval(successes, EVALUATION_EPISODES)
-            row = {"agent": agent, against: position, "success": found.estimate}
-            rows.append({**row, "low": found.low, "high": found.high, "seeds": found.count})
+            interval = success_interval(successes, EVALUATION_EPISODES)
+            row = {"agent": agent, against: position, "success": interval.estimate}
+            row |= {"low": interval.low, "high": interval.high, "seeds": interval.count}
+            rows.append(row)
     return pd.DataFrame(rows, columns=["agent", against, "success", "low", "high", "seeds"])
 
 
 # Okabe and Ito's colours without yellow; with four kinds of lines no two curves look alike.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = "osD^vPX<*"
-_CAPTION = (
-    f"Success: part of {EVALUATION_EPISODES} fixed episodes that end at the target, of the policy "
-    "as it was then, without exploration. Lines: mean over training seeds; bands: 95 % bootstrap "
-    "intervals over seeds and episodes (none for one seed). Minutes: CPU time of a training, "
-    "evaluations included, which is its wall time with a core to itself. Thin dotted lines: 95 % "
-    "and 98 %."
-)
 
 
 def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame) -> Figure:
@@ -118,7 +112,8 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
         figure.legend(
             handles, labels, loc="outside upper center", ncols=4, frameon=False, handlelength=4
         )
-        figure.supxlabel(textwrap.fill(_CAPTION, 150), fontsize=7, linespacing=1.4)
+        caption = words.LEARNING_CURVES.format(episodes=EVALUATION_EPISODES)
+        figure.supxlabel(textwrap.fill(caption, 150), fontsize=7, linespacing=1.4)
     return figure
 
 
@@ -158,37 +153,42 @@ def draw_generalisation(results: Results) -> Figure | None:
 
     A family has none if it was played at one strength only.
     """
-    panels = {
-        family: {one.strength: name for name, one in results.judged.items() if one.family == family}
-        for family in results.ranges
-        if not FAMILIES[family].whole  # the number of a joint is no strength
-    }
-    panels = {family: dict(sorted(one.items())) for family, one in panels.items() if len(one) > 1}
+    panels = {}
+    for family in results.ranges:
+        judged = (item for item in results.judged.items() if item[1].family == family)
+        scenarios = {place.strength: name for name, place in judged}
+        if len(scenarios) > 1 and not FAMILIES[family].whole:  # a joint's number is no strength
+            panels[family] = scenarios
     if not panels:
         return None
-    names = [one for one in results.agents if results.kind(one) not in ("ideal", "baseline")]
+    rows = math.ceil(len(panels) / 4)
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
-        rows = math.ceil(len(panels) / 4)
         figure = Figure(figsize=(8.6, 1.9 * rows + 0.8), layout="constrained")
-        drawn = figure.subplots(rows, 4, sharey=True, squeeze=False)
-        for axes in drawn.flat[len(panels) :]:
+        grid = figure.subplots(rows, 4, sharey=True, squeeze=False)
+        for axes in grid.flat[len(panels) :]:
             axes.axis("off")
-        for axes, (family, scenarios) in zip(drawn.flat, panels.items(), strict=False):
+        for axes, (family, scenarios) in zip(grid.flat, panels.items(), strict=False):
             if BASELINE in results.successes:
-                scenarios = dict(sorted({**scenarios, 0.0: BASELINE}.items()))
-            for one in results.ranges[family]:
-                axes.axvspan(*one.support(), color="0.9", linewidth=0)
-            for number, agent in enumerate(names):
-                found = {
-                    strength: results.successes[name].estimate(agent).estimate
-                    for strength, name in scenarios.items()
-                    if agent in results.successes[name].scores.values
-                }
-                axes.plot([*found], [*found.values()], markersize=3, label=agent, **_look(number))
+                scenarios[0.0] = BASELINE
+            for trained in results.ranges[family]:
+                axes.axvspan(*trained.support(), color="0.9", linewidth=0)
+            _draw_successes(axes, results, scenarios)
             axes.set(xlabel=f"{family} [{FAMILIES[family].unit}]", ylim=(-0.02, 1.02))
             axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
-        for row in drawn:
+        for row in grid:
             row[0].set_ylabel("success")
-        handles, labels = drawn.flat[0].get_legend_handles_labels()
+        handles, labels = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=5, frameon=False)
     return figure
+
+
+def _draw_successes(axes: Axes, results: Results, scenarios: Mapping[float, str]) -> None:
+    """Draw the success of each agent against the strength in scenarios."""
+    agents = (name for name in results.agents if results.kind(name) not in ("ideal", "baseline"))
+    for number, agent in enumerate(agents):
+        successes = {
+            strength: results.successes[name].estimate(agent).estimate
+            for strength, name in sorted(scenarios.items())
+            if agent in results.successes[name].scores.values
+        }
+        axes.plot([*successes], [*successes.values()], markersize=3, label=agent, **_look(number))

@@ -38,7 +38,7 @@ from mmc_gym.benchmark.store import (
     require_all_cells,
 )
 from mmc_gym.envs.names import BASELINE
-from mmc_gym.measures import Measure, leave_out_failures
+from mmc_gym.measures import Measure, leave_out_failures, words
 from mmc_gym.measures.catalogue import measures_of
 
 REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
@@ -80,21 +80,21 @@ class AgentIdentity:
     @property
     def cards(self) -> tuple[PolicyCard, ...]:
         """The cards of its trainings; empty unless every card has a learning curve."""
-        found = []
+        cards = []
         for source in self.sources:
             with suppress(UserError, OSError):  # its file may have gone since it was played
                 card = resolve(source).card
-                found += [card] if card and len(card.learning_curve) > 1 else []
-        return tuple(found) if len(found) == len(self.sources) else ()
+                cards += [card] if card and len(card.learning_curve) > 1 else []
+        return tuple(cards) if len(cards) == len(self.sources) else ()
 
 
 def identify(policies: Iterable[Policy]) -> AgentIdentity:
     """Return who an agent is, by its trainings; unknown if their names or knowledge differ."""
     trainings = list(policies)
-    facts = {(one.name, one.knowledge) for one in trainings}
+    facts = {(policy.name, policy.knowledge) for policy in trainings}
     name, knowledge = facts.pop() if len(facts) == 1 else ("", UNKNOWN)
-    steps = tuple(one.training_steps for one in trainings)
-    return AgentIdentity(name, knowledge, steps, tuple(one.source for one in trainings))
+    steps = tuple(policy.training_steps for policy in trainings)
+    return AgentIdentity(name, knowledge, steps, tuple(policy.source for policy in trainings))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ class Environment:
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Environment:
         """Make the scenario of an entry in the manifest; missing settings get their defaults."""
-        known = {one.name: settings.get(one.name) for one in fields(cls)}
+        names = {field.name for field in fields(cls)}
+        known = {name: settings[name] for name in names & settings.keys()}
         return cls(**{name: value for name, value in known.items() if value is not None})
 
 
@@ -146,7 +147,7 @@ class Results:
     @cached_property
     def controls(self) -> dict[str, str]:
         """The control mode of each agent, except the ideal hand."""
-        return {one: self.manifest.control(one) for one in self.agents if one != REFERENCE}
+        return {agent: self.manifest.control(agent) for agent in self.agents if agent != REFERENCE}
 
     def kind(self, agent: str) -> Kind:
         """Return the kind of an agent."""
@@ -156,8 +157,8 @@ class Results:
     def agents(self) -> tuple[str, ...]:
         """The agents in the order of tables: those in focus, the others by rank, the ideal hand."""
         best_first = [] if self.ranking.empty else map(str, self.ranking["agent"])
-        found = dict.fromkeys([*self.focus, *best_first, *self.identities])
-        return tuple(sorted(found, key=lambda agent: agent == REFERENCE))
+        names = dict.fromkeys([*self.focus, *best_first, *self.identities])
+        return tuple(sorted(names, key=lambda agent: agent == REFERENCE))
 
     @cached_property
     def by_scenario(self) -> dict[str, pd.DataFrame]:
@@ -167,14 +168,13 @@ class Results:
     @cached_property
     def replayed(self) -> tuple[str, ...]:
         """Agents that the replay shows: those in focus, then the best of the others."""
-        played = set(self.episodes["agent"].unique())
-        shown = [one for one in self.agents if one in played and one != REFERENCE]
-        return tuple(shown[:REPLAYED_AGENTS])
+        names = {*self.episodes["agent"].unique()} - {REFERENCE}
+        return tuple(agent for agent in self.agents if agent in names)[:REPLAYED_AGENTS]
 
     @property
     def base(self) -> str:
         """The baseline scenario, else another without perturbation, else the first."""
-        plain = [key for key, one in self.environments.items() if not one.family]
+        plain = [name for name, scenario in self.environments.items() if not scenario.family]
         return BASELINE if BASELINE in plain else next(iter([*plain, *self.environments]))
 
     @cached_property
@@ -202,11 +202,11 @@ class Results:
         """The instances of failed episodes that the replay shows, by (agent, scenario)."""
         if self.paths.empty:
             return {}
-        names = {"agent": str, "environment": str}
-        failed = self.episodes.loc[self.episodes["success"] == 0, COLUMNS].astype(names)
-        both = failed.merge(self.paths[COLUMNS].drop_duplicates().astype(names))
+        texts = {"agent": str, "environment": str}
+        failed = self.episodes.loc[self.episodes["success"] == 0, COLUMNS].astype(texts)
+        both = failed.merge(self.paths[COLUMNS].drop_duplicates().astype(texts))
         groups: Any = both.groupby(["agent", "environment"])["instance"]
-        return {key: sorted(some.tolist())[:REPLAYED_INSTANCES] for key, some in groups}
+        return {key: sorted(instances)[:REPLAYED_INSTANCES] for key, instances in groups}
 
     @cached_property
     def successes(self) -> dict[str, Bootstrap]:
@@ -226,17 +226,17 @@ class Results:
     @cached_property
     def places(self) -> dict[Place, Bootstrap]:
         """The bootstrap of the agents' success in each place, over scenarios that all attempted."""
-        scores, found = self._attempted, {}
+        scores, places = self._attempted, {}
         for place in PLACES:
-            names = [name for name, one in self.judged.items() if one.place == place]
+            names = [name for name, judged in self.judged.items() if judged.place == place]
             with suppress(UserError):  # no such scenario
-                here = ranked_scores(scores[scores["environment"].isin(names)])
-                found[place] = Bootstrap.of(here, "success", self.resamples)
-        return found
+                ranked = ranked_scores(scores[scores["environment"].isin(names)])
+                places[place] = Bootstrap.of(ranked, "success", self.resamples)
+        return places
 
     @cached_property
     def _attempted(self) -> pd.DataFrame:
-        return attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
+        return attempted_scores(self.episodes, [cell.key for cell in self.manifest.not_played])
 
     @property
     def sample_sizes(self) -> str:
@@ -244,52 +244,44 @@ class Results:
         instances = self.episodes.groupby("environment")["instance"].nunique()
         seeds = self.episodes.groupby("agent")["training_seed"].nunique()
         several = ", ".join(f"{agent} {number}" for agent, number in seeds.items() if number > 1)
-        trainings = several and f" Trainings: {several}; of the others one or none."
-        each = " in each scenario" if len(instances) > 1 else ""
-        least, most = instances.min(), instances.max()
-        span = str(least) if least == most else f"{least} to {most}"
-        return f"Episodes{each}: {span}, the same starts and targets for all.{trainings}"
+        return words.SAMPLE_SIZES.format(
+            each=" in each scenario" if len(instances) > 1 else "",
+            span=" to ".join(map(str, sorted({instances.min(), instances.max()}))),
+            trainings=several and f" Trainings: {several}; of the others one or none.",
+        )
 
     @property
     def settings(self) -> list[str]:
         """The settings that the scenarios were played with, one line per setting."""
-        found: dict[str, dict[str, str]] = {}
-        for name, one in self.environments.items():
-            given = {k: v for k, v in one.kwargs.items() if k not in ("task", "perturbations")}
-            texts = {
-                "Success: distance to the target at the end of at most": (
-                    "as it says" if math.isnan(one.tolerance) else f"{one.tolerance:g}"
-                ),
-                "Control step": f"{one.control_step:g} s",
-                "Segment lengths that agents are given": ", ".join(
-                    f"{length:g}" for length in one.segment_lengths
-                ),
-                "Other arguments of the environment": ", ".join(
-                    f"{key}={value}" for key, value in given.items()
-                ),
-            }
-            for what, text in texts.items():
-                found.setdefault(what, {})[name] = text
-        return [f"{what}: {_alike(own)}." for what, own in found.items() if any(own.values())]
+        texts: dict[str, dict[str, str]] = {name: {} for name in words.SETTINGS}
+        for name, scenario in self.environments.items():
+            tolerance, lengths = scenario.tolerance, scenario.segment_lengths
+            others = {**scenario.kwargs}
+            others.pop("task", None)
+            others.pop("perturbations", None)
+            values = (
+                "as it says" if math.isnan(tolerance) else f"{tolerance:g}",
+                f"{scenario.control_step:g} s",
+                ", ".join(f"{length:g}" for length in lengths),
+                words.arguments(others),
+            )
+            for setting, value in zip(words.SETTINGS, values, strict=True):
+                texts[setting][name] = value
+        return [
+            f"{setting}: {_alike(by_scenario)}."
+            for setting, by_scenario in texts.items()
+            if any(by_scenario.values())
+        ]
 
 
 def _alike(texts: Mapping[str, str]) -> str:
     """Return the most frequent text, then each other text with the names of its scenarios."""
     most, *others = [text for text, _ in Counter(texts.values()).most_common()]
     rest = [
-        f"{text or 'none'} in {listed([name for name, one in texts.items() if one == text])}"
-        for text in others
+        f"{other or 'none'} in {words.listed([name for name in texts if texts[name] == other])}"
+        for other in others
     ]
     return "; ".join([most or "none", *rest])
-
-
-def listed(items: Sequence[str]) -> str:
-    """Join items by commas, the last one by "and".
-
-    >>> listed(["a", "b", "c"])
-    'a, b and c'
-    """
-    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
 def read_results(
@@ -302,35 +294,37 @@ def read_results(
     manifest = read_manifest(store)
     require_all_cells(store, manifest)
     measures = measures_of(manifest.measures)
-    shown = [one.name for one in measures.values() if one.shown]
+    shown = [name for name, measure in measures.items() if measure.shown]
     used = ("success", "time_to_target", "duration", "final_distance")  # whatever the tables show
-    played = read_episodes(store, [*shown, *used])
-    episodes = leave_out_failures(_compact(played), measures.values())
+    episodes = _compact(read_episodes(store, [*shown, *used]))
+    episodes = leave_out_failures(episodes, measures.values())
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
-    chosen = _focus(identities, focus)
+    # Without a focus it is all your own, or else the first agent.
+    named = require_names("focus", focus, identities)
+    yours = [name for name in identities if identities[name].knowledge.kind == "yours"]
+    first = sorted(identities, key=lambda name: name == REFERENCE)[:1]
+    focus = tuple(dict.fromkeys(named or yours or first))
     if yardstick:
         require_choice("yardstick", yardstick, identities)
     ranking, best, present = pd.DataFrame(), "", set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
-        lost = [one.key for one in manifest.not_played]
+        lost = [cell.key for cell in manifest.not_played]
         controls = {agent: manifest.control(agent) for agent in names}
-        ranking = rank_agents(episodes, lost, chosen[0], resamples, controls=controls)
+        ranking = rank_agents(episodes, lost, focus[0], resamples, controls=controls)
         best = str(ranking["agent"].iloc[0])
     return Results(
         manifest=manifest,
         episodes=episodes,
         environments={
-            key: Environment.of(manifest.environments.get(key, {}))
-            for key in dict.fromkeys([*manifest.environments, *sorted(present)])
-            if key in present
+            name: Environment.of(manifest.environments.get(name, {}))
+            for name in dict.fromkeys([*manifest.environments, *sorted(present)])
+            if name in present
         },
         identities=identities,
-        focus=chosen,
+        focus=focus,
         measures=tuple(
-            one
-            for name, one in measures.items()
-            if one.shown and name in episodes and episodes[name].notna().any()
+            measures[name] for name in shown if name in episodes and episodes[name].notna().any()
         ),
         ranking=ranking,
         resamples=min(resamples, SCORE_RESAMPLES),
@@ -338,14 +332,6 @@ def read_results(
         store=store,
         yardstick=yardstick or best,
     )
-
-
-def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
-    """Return the agents `asked` for; if none, all your own, or else the first agent."""
-    asked = require_names("focus", asked, identities)
-    own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
-    first = sorted(identities, key=lambda name: name == REFERENCE)[:1]
-    return tuple(dict.fromkeys(asked or own or first))
 
 
 def _compact(frame: pd.DataFrame) -> pd.DataFrame:

@@ -12,8 +12,7 @@ import numpy as np
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, count, interval, number
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
-from mmc_gym.benchmark.suite import control_note
-from mmc_gym.measures import MEASURES, Measure
+from mmc_gym.measures import MEASURES, Measure, words
 from mmc_gym.measures.catalogue import PEOPLE, people, span
 from mmc_gym.report.results import Results
 
@@ -23,53 +22,48 @@ if TYPE_CHECKING:
 _LOST = 3  # scenarios in which an agent loses most
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
-_BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
 _SUCCESS = MEASURES["success"]
 
 
 def ranking_table(results: Results) -> Table | None:
     """Return the ranking; None if there is no scenario that all agents have attempted."""
-    ranking = results.ranking
+    ranking, better = results.ranking, words.BETTER["high"]
     if ranking.empty:
         return None
-    longer = f"settled for longer than {results.focus[0]}"
     shares = {
-        "success": Heading("success", "%", _BETTER["high"]),
-        "settled": Heading("settled", "% of the episode", _BETTER["high"]),
+        "success": Heading("success", "%", better),
+        "settled": Heading("settled", "% of the episode", better),
     }
-    explained = ""
+    improvement = ""
     if len(ranking) > 1 and ranking["improvement"].notna().any():
-        shares["improvement"] = Heading(longer, "%", _BETTER["high"])
-        explained = f" S{longer[1:]}: in what part of the same episodes, 50 % if equal."
-    has_blocks = ranking["control"].nunique() > 1
-    environments = int(ranking["environments"].iloc[0])
-    left_out = len(results.environments) - environments
-    partly = f" ({left_out} more were not attempted by all)" if left_out else ""
+        longer = f"settled for longer than {results.focus[0]}"
+        shares["improvement"] = Heading(longer, "%", better)
+        improvement = words.REPORTED_IMPROVEMENT.format(focus=results.focus[0])
+    acts_by = [Heading("acts by")] * (ranking["control"].nunique() > 1)
     rows = []
     for row in ranking.to_dict("records"):
-        cells = (
-            *[Cell(str(row["control"]))] * has_blocks,
-            Cell(str(row["rank"])),
-            *(_share(row[name], row[f"{name}_low"], row[f"{name}_high"]) for name in shares),
-            Cell(MEASURES["time_to_target"].number(row["time_to_target"])),
-        )
+        cells = [Cell(str(row["control"])) for _ in acts_by] + [Cell(str(row["rank"]))]
+        cells += (_share(row[name], row[f"{name}_low"], row[f"{name}_high"]) for name in shares)
+        cells.append(Cell(MEASURES["time_to_target"].number(row["time_to_target"])))
         rows.append(_row(results, str(row["agent"]), cells))
-    time = Heading("time to target", "s", _BETTER["low"])
-    acts_by = [Heading("acts by")] * has_blocks
+    time = Heading("time to target", "s", words.BETTER["low"])
+    ranked = int(ranking["environments"].iloc[0])
     return Table(
         headings=(Heading("agent"), *acts_by, Heading("rank"), *shares.values(), time),
         rows=tuple(rows),
-        caption=f"Ranked by success over {count(environments, 'scenario')}{partly}, each weighing "
-        "the same, then by time to target (mean of medians). Settled: mean of the "
-        f"part of an episode after which the hand stays at the target.{explained} In brackets: "
-        f"95 % intervals. {control_note(results.controls)} {results.sample_sizes}",
+        caption=words.REPORTED_RANKING.format(
+            scenarios=words.scenarios(ranked, len(results.environments), "were not"),
+            improvement=improvement,
+            controls=words.control_note(results.controls),
+            sample_sizes=results.sample_sizes,
+        ),
         title="How good the agents are",
         look="scores ranking",
     )
 
 
 def _share(estimate: float, low: float, high: float, look: str = "") -> Cell:
-    return Cell(_SUCCESS.number(estimate), _notes(_SUCCESS.interval(low, high)), look=look)
+    return Cell.of(_SUCCESS.number(estimate), _SUCCESS.interval(low, high), look=look)
 
 
 def _row(results: Results, agent: str, cells: Sequence[Cell], note: str = "") -> Row:
@@ -78,46 +72,42 @@ def _row(results: Results, agent: str, cells: Sequence[Cell], note: str = "") ->
 
 def scenario_table(results: Results, agent: str) -> Table:
     """Return the success of an agent in each scenario, and of the others with the difference."""
-    others = [one for one in results.agents if one not in (agent, REFERENCE)]
+    others = [label for label in results.agents if label not in (agent, REFERENCE)]
     rows, family = [], ""
-    for name, found in results.successes.items():
-        if agent not in found.scores.values:
+    for name, successes in results.successes.items():
+        if agent not in successes.scores.values:
             continue
         look = "all"
         if name in results.environments:
             before, family = family, results.environments[name].family
             look = "begins" if family != before else ""
-        own = _share(*found.estimate(agent), look="mine")
-        rows.append(Row(name, (own, *(_compared(found, agent, one) for one in others)), look=look))
-    against = (
-        f" Below the success of each other agent: how much more or less {agent} has in the same "
-        f"episodes. + and blue: {agent} is clearly better; − and orange: clearly worse (the "
-        "interval leaves out 0)."
-    )
+        cells = [_compared(successes, agent, other) for other in others]
+        rows.append(Row(name, (_share(*successes.estimate(agent), "mine"), *cells), look=look))
     return Table(
         headings=tuple(map(Heading, ("scenario", agent, *others))),
         rows=tuple(rows),
-        caption="Success at the end of the episode, %, with 95 % intervals. "
-        f"{control_note(results.controls)}"
-        f"{against if others else ''}",
+        caption=words.SCENARIO.format(
+            controls=words.control_note(results.controls),
+            against=words.AGAINST.format(agent=agent) if others else "",
+        ),
         title=f"Success of {agent} in each scenario",
         look="scores scenarios",
     )
 
 
-def _compared(found: Bootstrap, agent: str, other: str) -> Cell:
+def _compared(successes: Bootstrap, agent: str, other: str) -> Cell:
     """Return the cell of another agent: its success, and by how much that of `agent` differs."""
-    if other not in found.scores.values:
+    if other not in successes.scores.values:
         return Cell("·")
-    gain = found.difference(agent, other)
-    ends = f" [{_signed(gain.low)}, {_signed(gain.high)}]" if math.isfinite(gain.low) else ""
+    gain = successes.difference(agent, other)
     look = "better" if gain.low > 0 else "worse" if gain.high < 0 else ""
-    notes = (f"{_signed(gain.estimate)}{ends}",)
-    return Cell(_SUCCESS.number(found.estimate(other).estimate), notes, look=look)
+    return Cell.of(_SUCCESS.number(successes.estimate(other).estimate), _signed(*gain), look=look)
 
 
-def _signed(share: float) -> str:
-    """Return a difference of fractions in percent, with its sign."""
+def _signed(share: float, low: float = math.nan, high: float = math.nan) -> str:
+    """Return a difference of fractions in percent with its sign, and its interval if it has one."""
+    if math.isfinite(low):
+        return f"{_signed(share)} [{_signed(low)}, {_signed(high)}]"
     text = f"{100 * share:+.1f}"
     return text.replace("-", "−") if float(text) else "0.0"
 
@@ -128,33 +118,27 @@ def generalisation_table(results: Results) -> Table | None:
     if not places or not best:
         return None
     rows = []
-    for agent in (one for one in results.agents if one != REFERENCE):
+    for agent in (label for label in results.agents if label != REFERENCE):
         cells = []
-        for found in places.values():
-            lost, own = found.difference(best, agent), found.estimate(agent)
-            ends = (
-                f" [{_signed(lost.low)}, {_signed(lost.high)}]" if math.isfinite(lost.low) else ""
-            )
-            note = "" if agent == best else f"{_signed(lost.estimate)}{ends}"
-            cells.append(Cell(_SUCCESS.number(own.estimate), _notes(note)))
-        lost_in = {
+        for successes in places.values():
+            regret = "" if agent == best else _signed(*successes.difference(best, agent))
+            cells.append(Cell.of(_SUCCESS.number(successes.estimate(agent).estimate), regret))
+        lost = {
             name: results.successes[name].difference(best, agent).estimate
             for name in results.judged
             if {agent, best} <= results.successes[name].scores.values.keys()
         }
-        worst = sorted(lost_in, key=lambda name: -lost_in[name])[:_LOST]
-        most = [f"{name} {_signed(lost_in[name])}" for name in worst if lost_in[name] > 0]
-        rows.append(_row(results, agent, (*cells, Cell(", ".join(most) or "nowhere"))))
+        most = sorted(lost, key=lambda name: -lost[name])[:_LOST]
+        texts = [f"{name} {_signed(lost[name])}" for name in most if lost[name] > 0]
+        rows.append(_row(results, agent, (*cells, Cell(", ".join(texts) or "nowhere"))))
     headings = [
-        Heading(place, count(len(found.scores.instances), "scenario"))
-        for place, found in places.items()
+        Heading(place, count(len(successes.scores.instances), "scenario"))
+        for place, successes in places.items()
     ]
     return Table(
         headings=(Heading("agent"), *headings, Heading("loses most in", is_text=True)),
         rows=tuple(rows),
-        caption="Success, %, inside the ranges of a training, between them, beyond them, and in "
-        f"combinations of what it only met one at a time. Below: regret to {best}, how much more "
-        "often that ends at the target, with its 95 % interval; below 0 where learning beats it.",
+        caption=words.GENERALISATION.format(best=best),
         title="Strengths that a training never had",
         look="scores",
     )
@@ -164,10 +148,10 @@ def given_table(results: Results) -> Table:
     """Return what each agent is, what it is given, what it senses, and how long it trained."""
     rows = []
     for agent in results.agents:
-        who = results.identities[agent]
-        known = who.knowledge
-        cells = map(Cell, (who.training, known.lengths, known.actions, known.senses))
-        rows.append(_row(results, agent, tuple(cells), note=who.about(agent)))
+        identity = results.identities[agent]
+        known = identity.knowledge
+        cells = map(Cell, (identity.training, known.lengths, known.actions, known.senses))
+        rows.append(_row(results, agent, tuple(cells), note=identity.about(agent)))
     labels = ("agent", "training", "segment lengths", "what actions do", "senses")
     return Table(
         headings=tuple(map(Heading, labels)),
@@ -181,19 +165,18 @@ def failure_table(results: Results) -> Table | None:
     """Return where the agents in focus fail, with links to the replay; None if nowhere."""
     rows = []
     for agent, name in product(results.focus, results.environments):
-        here = results.by_scenario[name]
-        mine = here[here["agent"] == agent]
+        episodes = results.by_scenario[name]
+        mine = episodes[episodes["agent"] == agent]
         failed = mine[mine["success"] == 0]
         if failed.empty:
             continue
-        others = here[(here["agent"] != REFERENCE) & (here["success"] == 1)]
+        arrived = episodes[(episodes["agent"] != REFERENCE) & (episodes["success"] == 1)]
         instances = set(failed["instance"])
-        possible = len(instances & set(others["instance"]))
         shown = results.replayed_failures.get((agent, name), [])
         cells = (
             Cell(f"{len(failed)} of {len(mine)}"),
             Cell("" if shown else "–", links=tuple((name, number + 1) for number in shown)),
-            Cell(f"{possible} of {len(instances)}"),
+            Cell(f"{len(instances & set(arrived['instance']))} of {len(instances)}"),
             Cell(MEASURES["final_distance"].number(failed["final_distance"].median())),
         )
         rows.append((len(failed) / len(mine), Row(f"{agent} in {name}", cells)))
@@ -203,8 +186,7 @@ def failure_table(results: Results) -> Table | None:
     return Table(
         headings=(*map(Heading, labels), Heading("median distance at the end", "lengths")),
         rows=tuple(row for _, row in sorted(rows, key=lambda pair: -pair[0])),
-        caption="Failed: the hand is not at the target at the end of the episode. A number shows "
-        "that episode in the replay below.",
+        caption=words.FAILURES,
         title="Where it fails",
         look="scores failures",
     )
@@ -213,83 +195,83 @@ def failure_table(results: Results) -> Table | None:
 def score_table(results: Results, environment: str) -> Table:
     """Return all measures of all agents in a scenario."""
     episodes = results.by_scenario[environment]
-    scores = arrange(episodes, [one.name for one in results.measures])
-    bootstraps = {name: Bootstrap(one, results.resamples) for name, one in scores.items()}
-    played = [str(agent) for agent in episodes["agent"].unique()]
-    found = {  # one agent after the other, as its draws are large and the same for all measures
+    scores = arrange(episodes, [measure.name for measure in results.measures])
+    bootstraps = {name: Bootstrap(scores[name], results.resamples) for name in scores}
+    agents = [str(agent) for agent in episodes["agent"].unique()]
+    estimates = {  # one agent after the other: its draws are large and the same for all measures
         (agent, measure.name): bootstraps[measure.name].estimate(agent, measure.statistic)
-        for agent in played
+        for agent in agents
         for measure in results.measures
     }
     columns = []
     for measure in results.measures:
-        of_agents = {agent: found[agent, measure.name] for agent in played}
+        of_agents = {agent: estimates[agent, measure.name] for agent in agents}
         columns.append(_measure_column(results, scores[measure.name], measure, of_agents))
-    labels = (Heading(one.label, one.shown_unit, _BETTER[one.best]) for one in results.measures)
-    shown = [agent for agent in results.agents if agent in played]
+    labels = [
+        Heading(measure.label, measure.shown_unit, words.BETTER[measure.best])
+        for measure in results.measures
+    ]
+    shown = [agent for agent in results.agents if agent in agents]
+    controls = {agent: results.controls[agent] for agent in shown if agent != REFERENCE}
     return Table(
         headings=(Heading("agent"), *labels),
-        rows=tuple(_row(results, one, tuple(column[one] for column in columns)) for one in shown),
-        caption=control_note({one: results.controls[one] for one in shown if one != REFERENCE}),
+        rows=tuple(_row(results, agent, [cells[agent] for cells in columns]) for agent in shown),
+        caption=words.control_note(controls),
         title=f"Measures in {environment}",
         look="scores",
     )
 
 
 def _measure_column(
-    results: Results, scores: Scores, measure: Measure, found: Mapping[str, Estimate]
+    results: Results, scores: Scores, measure: Measure, estimates: Mapping[str, Estimate]
 ) -> dict[str, Cell]:
     """Return the cell of each agent that has played a scenario, by name.
 
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
     ever arrives could win with a few short movements.
     """
-    present = {name: 1 - float(np.isnan(own).mean()) for name, (own,) in scores.values.items()}
+    present = {agent: 1 - np.isnan(table).mean() for agent, (table,) in scores.values.items()}
     racing = {
-        agent: one.estimate
-        for agent, one in found.items()
+        agent: estimate
+        for agent, (estimate, _, _) in estimates.items()
         if present[agent] >= PRESENT
-        and math.isfinite(one.estimate)
+        and math.isfinite(estimate)
         and results.kind(agent) not in ("ideal", "baseline")
     }
     best = ""  # as it is written: agents whose numbers look the same are all the best
     if measure.best != "neither" and racing:
         best = measure.number((max if measure.best == "high" else min)(racing.values()))
     cells = {}
-    for agent, one in found.items():
-        text = measure.number(one.estimate)
-        is_partly = 0 < present[agent] < 1
-        part = f"{number(min(100 * present[agent], 99), 0)} %" if is_partly else ""
-        notes = _notes(measure.interval(one.low, one.high), part)
-        cells[agent] = Cell(text, notes, best=agent in racing and text == best)
+    for agent, (estimate, low, high) in estimates.items():
+        text, share = measure.number(estimate), present[agent]
+        part = f"{number(min(100 * share, 99), 0)} %" if 0 < share < 1 else ""
+        is_best = agent in racing and text == best
+        cells[agent] = Cell.of(text, measure.interval(low, high), part, best=is_best)
     return cells
-
-
-def _notes(*notes: str) -> tuple[str, ...]:
-    return tuple(note for note in notes if note)
 
 
 def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
     """Return the measures of learning of agents in an experiment, below those of people."""
     from mmc_gym.experiments.results import settings_note  # takes long, as does matplotlib
 
-    name, measures = result.experiment.name, result.measures
+    measures = result.measures
     facts = measures.drop_duplicates("measure").to_dict("records")
     rows = []
-    for agent, own in measures.groupby("agent", sort=False):
-        found = {row["measure"]: _learning_cell(row) for row in own.to_dict("records")}
-        cells = tuple(found.get(one["measure"], NONE) for one in facts)
+    for agent, of_agent in measures.groupby("agent", sort=False):
+        cells = {row["measure"]: _learning_cell(row) for row in of_agent.to_dict("records")}
         look = "people" if agent == PEOPLE else "focus" if agent in focus else ""
-        rows.append(Row(str(agent), cells, look=look))
-    cited = people(result.experiment.family).values()
-    tasks = "".join(f" {one.source}: {one.task}; what differs: {one.differs}." for one in cited)
+        in_order = tuple(cells.get(row["measure"], NONE) for row in facts)
+        rows.append(Row(str(agent), in_order, look=look))
+    cited = "".join(map(words.CITED.format, people(result.experiment.family).values()))
     return Table(
-        headings=(Heading("agent"), *(Heading(one["label"], one["unit"]) for one in facts)),
+        headings=(Heading("agent"), *(Heading(row["label"], row["unit"]) for row in facts)),
         rows=tuple(sorted(rows, key=lambda row: row.name != PEOPLE)),
-        caption=f"Of the mean over {count(result.trials['subject'].nunique(), 'subject')}; below, "
-        f"95 % bootstrap intervals over subjects; –: no value.{settings_note(result.settings)}"
-        f"{tasks and ' People:' + tasks}",
-        title=f"Learning in {name}",
+        caption=words.LEARNING.format(
+            subjects=count(result.trials["subject"].nunique(), "subject"),
+            settings=settings_note(result.settings),
+            people=cited and f" People:{cited}",
+        ),
+        title=f"Learning in {result.experiment.name}",
         look="scores",
     )
 
@@ -297,5 +279,5 @@ def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
 def _learning_cell(row: Mapping[Hashable, Any]) -> Cell:
     if row["agent"] == PEOPLE:
         return Cell(span(row["low"], row["high"]), (row["source"],))
-    ends = interval(row["low"], row["high"], row["decimals"])
-    return Cell(number(row["estimate"], row["decimals"]), _notes(ends))
+    decimals = row["decimals"]
+    return Cell.of(number(row["estimate"], decimals), interval(row["low"], row["high"], decimals))

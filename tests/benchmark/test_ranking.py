@@ -11,7 +11,7 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
-from mmc_gym.benchmark.suite import control_note, other_controls
+from mmc_gym.measures.words import control_note, other_controls
 
 
 def played(agent, environment, times, training_seed=None):
