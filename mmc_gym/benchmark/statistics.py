@@ -95,7 +95,7 @@ def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
     most = instance.max() + 1
     sizes = tuple(np.bincount(np.unique(environment * most + instance) // most).tolist())
     places, count = {}, {}
-    for number, name in enumerate(agents):
+    for number, name in enumerate(map(str, agents)):
         mine = np.flatnonzero(agent == number)
         policy, policies = pd.factorize(seed[mine])
         if len(mine) != len(policies) * sum(sizes):
@@ -105,15 +105,18 @@ def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
             )
         order = np.lexsort((instance[mine], policy, environment[mine]))
         tables = np.split(mine[order], len(policies) * np.cumsum(sizes)[:-1])
-        places[str(name)] = [table.reshape(len(policies), -1) for table in tables]
-        count[str(name)] = 0 if policies.tolist() == [-1] else len(policies)
+        places[name] = [table.reshape(len(policies), -1) for table in tables]
+        count[name] = 0 if policies.tolist() == [-1] else len(policies)
 
-    def scores_of(column: str) -> Scores:
-        scores = frame[column].to_numpy(dtype=np.float64)
-        values = {name: tuple(scores[table] for table in tables) for name, tables in places.items()}
-        return Scores(sizes, values, count)
-
-    return {column: scores_of(column) for column in names}
+    columns = {name: frame[name].to_numpy(dtype=np.float64) for name in names}
+    return {
+        name: Scores(
+            instances=sizes,
+            values={agent: tuple(map(column.take, places[agent])) for agent in places},
+            seeds=count,
+        )
+        for name, column in columns.items()
+    }
 
 
 @lru_cache(maxsize=32)
@@ -188,23 +191,24 @@ class Bootstrap:
 
         A median is one of the episodes of a single environment.
         """
-        found = Estimate.of(self.distribution(agent, statistic))
+        estimate = Estimate.of(self.distribution(agent, statistic))
         tables = self.scores.values[agent]
-        if (len(tables) > 1 and found.low != found.high) or not self._is_share(agent, statistic):
-            return found
+        has_width = len(tables) > 1 and estimate.low != estimate.high
+        if has_width or not self._is_share(agent, statistic):
+            return estimate
         known = [table[~np.isnan(table)] for table in tables]
-        ends = [wilson_interval(float(one.mean()), len(one)) for one in known if len(one)]
-        return Estimate(found.estimate, *np.mean(ends, axis=0).tolist())
+        ends = [wilson_interval(float(np.mean(row)), len(row)) for row in known if len(row)]
+        return Estimate(estimate.estimate, *np.mean(ends, axis=0).tolist())
 
     def difference(self, agent: str, other: str, statistic: Statistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""
-        one, less = (self.distribution(name, statistic) for name in (agent, other))
-        found = Estimate.of((one - less).round(12))  # the order of sums makes no difference
-        are_shares = all(self._is_share(name, statistic) for name in (agent, other))
-        if found.low != found.high or not are_shares:
-            return found
-        hidden = float(np.mean([wilson_interval(0.0, n)[1] for n in self.scores.instances]))
-        return Estimate(found.estimate, max(-1.0, found.low - hidden), min(1.0, found.low + hidden))
+        mine, theirs = (self.distribution(name, statistic) for name in (agent, other))
+        # Rounded, so that the order of sums makes no difference.
+        estimate, low, high = Estimate.of((mine - theirs).round(12))
+        if low == high and all(self._is_share(name, statistic) for name in (agent, other)):
+            hidden = float(np.mean([wilson_interval(0.0, n)[1] for n in self.scores.instances]))
+            low, high = max(-1.0, low - hidden), min(1.0, low + hidden)
+        return Estimate(estimate, low, high)
 
     def _is_share(self, agent: str, statistic: Statistic) -> bool:
         """Return whether a statistic is the share of the successes of a single policy."""
@@ -229,26 +233,29 @@ class Bootstrap:
         total, counted = np.zeros((2, len(pairs)))
         for draws, ours, others in self._sharing(agent, other):
             for begin in range(0, len(ours), at_once):
-                some = slice(begin, begin + at_once)
-                shares = _shares_of_wins(ours[some], others[some], draws, pairs)
+                part = slice(begin, begin + at_once)
+                shares = _shares_of_wins(ours[part], others[part], draws, pairs)
                 total += np.nansum(shares, axis=1)
                 counted += (~np.isnan(shares)).sum(axis=1)
         with np.errstate(invalid="ignore"):
             return Estimate.of(self._where_it_varies(total / counted, agent, other))
 
-    def _where_it_varies(self, found: Floats, *agents: str) -> Floats:
+    def _where_it_varies(self, distribution: Floats, *agents: str) -> Floats:
         if not all(map(self._varies, agents)):
-            found[1:] = np.nan
-        return found
+            distribution[1:] = np.nan
+        return distribution
 
     def _varies(self, agent: str) -> bool:
         """Return False if all values of an agent are of one policy at one instance."""
         known = [~np.isnan(table) for table in self.scores.values[agent]]
-        if np.any([table.any(axis=1) for table in known], axis=0).sum() > 1:
-            return True
+        policies = np.any([table.any(axis=1) for table in known], axis=0)
         # Environments with as many instances share their draw.
-        found = ((table.shape[1], np.flatnonzero(table.any(axis=0))[:2]) for table in known)
-        return len({(count, place) for count, places in found for place in places}) > 1
+        instances = {
+            (table.shape[1], instance)
+            for table in known
+            for instance in np.flatnonzero(table.any(axis=0))[:2]
+        }
+        return bool(policies.sum() > 1 or len(instances) > 1)
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and each agent's tables of environments that share it.
@@ -256,8 +263,9 @@ class Bootstrap:
         Shapes are (R + 1, instances) and (environments, policies, instances).
         """
         for count, draws in self._drawn.items():
-            tables = [self.scores.values[agent] for agent in agents]
-            yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
+            tables = (self.scores.values[agent] for agent in agents)
+            alike = ([table for table in group if table.shape[1] == count] for group in tables)
+            yield draws, *map(np.stack, alike)
 
     def distribution(self, agent: str, statistic: Statistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
@@ -367,18 +375,16 @@ def sample_interval(
     (0.5, 0.0, 1.0, 6)
     """
     table = np.asarray(values, dtype=np.float64)
-    is_sample = table.ndim == 1
-    present, missing = _present(table)
-    if not present.size:
-        return _no_interval(present, missing)
-    if is_sample:
-        table = present[None]
-    scores = Scores((table.shape[1],), {"": (table,)})
-    found = Bootstrap(scores, resamples, seed).estimate("", statistic)
-    if is_sample and statistic == "mean":  # not from shares, so that 7 of 20 is 0.35
-        mean = float(np.clip(np.mean(present), present.min(), present.max()))
-        found = found._replace(estimate=mean)
-    return Interval(*found, present.size, missing)
+    present = table[~np.isnan(table)]
+    estimate = Estimate(math.nan, math.nan, math.nan)
+    if present.size:
+        sample = present[None] if table.ndim == 1 else table
+        bootstrap = Bootstrap(Scores((sample.shape[1],), {"": (sample,)}), resamples, seed)
+        estimate = bootstrap.estimate("", statistic)
+        if table.ndim == 1 and statistic == "mean":  # not from shares, so that 7 of 20 is 0.35
+            mean = float(np.clip(np.mean(present), present.min(), present.max()))
+            estimate = estimate._replace(estimate=mean)
+    return Interval(*estimate, present.size, table.size - present.size)
 
 
 def resampled_means(samples: ArrayLike, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
@@ -410,25 +416,16 @@ def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     >>> found.estimate, found.low < 0.997, found.high
     (0.998, True, 1.0)
     """
-    present, missing = _present(successes)
-    if (count := present.size) < 2:
-        return _no_interval(present, missing)
+    fractions = np.asarray(successes, dtype=np.float64)
+    present = fractions[~np.isnan(fractions)]
+    count, missing = present.size, fractions.size - present.size
+    if count < 2:
+        estimate = present.item() if count else math.nan
+        return Interval(estimate, math.nan, math.nan, count, missing)
     seeds = _counts((0, _POLICIES, 0), count, RESAMPLES)[1:].astype(np.int64)
     succeeded = np.random.default_rng((0, _EPISODES)).binomial(seeds * episodes, present)
     low, high = percentile_interval(succeeded.sum(axis=-1) / (count * episodes))
     return Interval(float(np.mean(present)), low, high, count, missing)
-
-
-def _present(values: ArrayLike) -> tuple[Floats, int]:
-    """Return the values that are not NaN, and the number of NaNs."""
-    sample = np.asarray(values, dtype=np.float64)
-    present = sample[~np.isnan(sample)]
-    return present, sample.size - present.size
-
-
-def _no_interval(present: Floats, missing: int) -> Interval:
-    estimate = present.item() if present.size else math.nan
-    return Interval(estimate, math.nan, math.nan, present.size, missing)
 
 
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
@@ -443,9 +440,9 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
         for measure in measures:
             values = group[measure.name].to_numpy(np.float64)
             table = values.reshape(trainings, -1) if trainings > 1 else values
-            found = sample_interval(table, measure.statistic, seed)
+            interval = sample_interval(table, measure.statistic, seed)
             facts = {"measure": measure.name, "unit": measure.unit, "statistic": measure.statistic}
-            rows.append({"agent": agent, **facts, **vars(found)})
+            rows.append({"agent": agent, **facts, **vars(interval)})
     return pd.DataFrame(rows)
 
 

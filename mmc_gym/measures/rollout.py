@@ -100,14 +100,24 @@ def run_episodes(
     >>> first.seed, second.hands.shape
     (5, (101, 2))
     """
-    seeds, options = _check_arguments(agent, env, seeds, options)
+    acts = hasattr(agent, "predict") and not isinstance(agent, type)
+    require(acts, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
+    is_env = isinstance(env, gym.Env | gym.vector.VectorEnv)
+    require(is_env, "env", env, "an environment, such as gym.make('MMCReach-v0')")
+    are_whole = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
+    require(are_whole, "seeds", seeds, "whole numbers of at least 0, one per episode")
+    seeds = [int(seed) for seed in seeds]
+    options = [{}] * len(seeds) if options is None else options
+    is_list = isinstance(options, Sequence) and len(options) == len(seeds)
+    are_mappings = is_list and all(isinstance(option, Mapping) for option in options)
+    require(are_mappings, "options", options, f"a list of {len(seeds)} mappings, one per seed")
     if isinstance(env, gym.vector.VectorEnv):
         arm: Any = _check_vector(env, len(seeds)).arms
         groups = [(seeds, options)]
     else:
         check_environment(env)
-        groups = [([seed], [option]) for seed, option in zip(seeds, options, strict=True)]
         arm = getattr(env.unwrapped, "arm", None)
+        groups = [([seed], [option]) for seed, option in zip(seeds, options, strict=True)]
     episodes: list[Episode] = []
     with one_torch_thread(), ExitStack() as stack:
         if hasattr(arm, "records_effort"):
@@ -119,24 +129,6 @@ def run_episodes(
                 if on_episode is not None:
                     on_episode(episode)
     return tuple(episodes)
-
-
-def _check_arguments(
-    agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options] | None
-) -> tuple[list[int], Sequence[Options]]:
-    """Return the seeds, and the options of each; raise a `UserError` for a wrong argument."""
-    acts = hasattr(agent, "predict") and not isinstance(agent, type)
-    require(acts, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
-    is_env = isinstance(env, gym.Env | gym.vector.VectorEnv)
-    require(is_env, "env", env, "an environment, such as gym.make('MMCReach-v0')")
-    are_whole = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
-    require(are_whole, "seeds", seeds, "whole numbers of at least 0, one per episode")
-    whole = [int(seed) for seed in seeds]
-    given: Any = [{}] * len(whole) if options is None else options
-    are_mappings = isinstance(given, Sequence) and all(isinstance(one, Mapping) for one in given)
-    fine = are_mappings and len(given) == len(whole)
-    require(fine, "options", given, f"a list of {len(whole)} mappings, one per seed")
-    return whole, given
 
 
 def run_trial(
@@ -162,8 +154,8 @@ def _play(
     """Play one episode with each arm from reset to end; return them and the agent's state there."""
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
-    recording = _Recording(arm, together)
-    recording.look(info)
+    values: defaultdict[str, list[Any]] = defaultdict(list)
+    _look(values, arm, info)
     times: list[int] = []
     episode_start, over = np.full(len(seeds), state is None), False
     while not over:
@@ -172,75 +164,59 @@ def _play(
         begin = time.perf_counter_ns()
         predicted = agent.predict(observation, state, episode_start, deterministic=True)
         times.append(time.perf_counter_ns() - begin)
-        if not isinstance(predicted, tuple) or len(predicted) != 2:
-            require(False, "what predict returns", predicted, "a pair (action, state)")
+        is_pair = isinstance(predicted, tuple) and len(predicted) == 2
+        require(is_pair, "what predict returns", predicted, "a pair (action, state)")
         action, state = predicted
         observation, reward, terminated, truncated, info = env.step(action)
-        recording.look(info)
-        recording.add_step(reward)
+        _look(values, arm, info)
+        values["rewards"].append(reward)
+        if getattr(arm, "records_effort", False):
+            for name in _EFFORT:
+                values[name].append(np.array(getattr(arm, name)))
         episode_start = np.zeros(len(seeds), dtype=bool)
         over = bool(np.all(np.logical_or(terminated, truncated)))
-    arrays, facts = recording.arrays(), _facts(env, info)
+    world: Any = env.unwrapped
+    is_success = None
+    if math.isnan(world.success_distance):
+        accepted = "with is_success, or interface with success_distance"
+        require("is_success" in info, "info", sorted(info), accepted)
+        is_success = bool(info["is_success"])
+    arrays = _arrays(values, together)
     episodes = [
         Episode(
             seed=seed,
-            **{name: values[number] for name, values in arrays.items()},
+            **{name: array[number] for name, array in arrays.items()},
             # One `predict` for many arms does not show how long it takes for one arm.
             action_times=np.where(together, math.nan, np.array(times, dtype=np.float64) * 1e-9),
-            **facts,
+            control_step=float(world.parameters.control_step),
+            tolerance=float(world.success_distance),
+            reach=float(world.reach),
+            is_success=is_success,
         )
         for number, seed in enumerate(seeds)
     ]
     return episodes, state
 
 
-class _Recording:
-    """What one arm reports step by step, or all arms of a vector environment together."""
-
-    def __init__(self, arm: Any, together: bool) -> None:
-        self._arm, self._together = arm, together
-        self._effort = _EFFORT if getattr(arm, "records_effort", False) else ()
-        self._values: defaultdict[str, list[Any]] = defaultdict(list)
-
-    def look(self, info: Mapping[str, Any]) -> None:
-        """Add where hand, target and joints are."""
-        for name, key in _SEEN.items():
-            if key in info:
-                self._values[name].append(info[key])
-        # The arm's own posture, because the observed one may be noisy and late.
-        posture = getattr(self._arm, "joint_angles", info.get("joint_angles", ()))
-        self._values["joint_angles"].append(np.array(posture))
-
-    def add_step(self, reward: Any) -> None:
-        self._values["rewards"].append(reward)
-        for name in self._effort:
-            self._values[name].append(np.array(getattr(self._arm, name)))
-
-    def arrays(self) -> dict[str, Floats]:
-        """Return all by name, (episodes, steps, …); effort that was not recorded is NaN."""
-        found = {}
-        for name, values in self._values.items():
-            array = np.array(values, dtype=np.float64)  # (steps, …) or (steps, episodes, …)
-            array = array.swapaxes(0, 1) if self._together else array[None]
-            found[name] = np.ascontiguousarray(array)
-        unreported = np.full_like(found["joint_angles"][:, 1:], math.nan)
-        return {**dict.fromkeys(_EFFORT, unreported), **found}
+def _look(values: Mapping[str, list[Any]], arm: Any, info: Mapping[str, Any]) -> None:
+    """Add where hand, target and joints are to the values of the steps before, by name."""
+    for name, key in _SEEN.items():
+        if key in info:
+            values[name].append(info[key])
+    # The arm's own posture, because the observed one may be noisy and late.
+    posture = getattr(arm, "joint_angles", info.get("joint_angles", ()))
+    values["joint_angles"].append(np.array(posture))
 
 
-def _facts(env: Env, info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what episodes have of their environment, and its own word on success at the end."""
-    world: Any = env.unwrapped
-    is_success = None
-    if math.isnan(world.success_distance):
-        said = "with is_success, or interface with success_distance"
-        require("is_success" in info, "info", sorted(info), said)
-        is_success = bool(info["is_success"])
-    return {
-        "control_step": float(world.parameters.control_step),
-        "tolerance": float(world.success_distance),
-        "reach": float(world.reach),
-        "is_success": is_success,
-    }
+def _arrays(values: Mapping[str, list[Any]], together: bool) -> dict[str, Floats]:
+    """Return what was recorded, (episodes, steps, …) by name; effort that was not is NaN."""
+    arrays = {}
+    for name, steps in values.items():
+        array = np.array(steps, dtype=np.float64)  # (steps, …) or (steps, episodes, …)
+        array = array.swapaxes(0, 1) if together else array[None]
+        arrays[name] = np.ascontiguousarray(array)
+    unreported = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
+    return {**dict.fromkeys(_EFFORT, unreported), **arrays}
 
 
 def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
@@ -253,17 +229,17 @@ def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
 
 def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
     """Reset each arm with its own seed and options, all arms with equal options in one call."""
-    alike: dict[str, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for number, option in enumerate(options):
-        alike.setdefault(repr(sorted(option.items())), []).append(number)
+        groups.setdefault(repr(sorted(option.items())), []).append(number)
     observation: Any = None
     seen: dict[str, Any] = {}
-    for group in alike.values():
+    for group in groups.values():
         mask = np.zeros(len(seeds), dtype=bool)
         mask[group] = True
-        own = [seed if chosen else None for seed, chosen in zip(seeds, mask)]
+        of_group = [seed if is_reset else None for seed, is_reset in zip(seeds, mask)]
         masked = {**options[group[0]], "reset_mask": mask}
-        observation, info = env.reset(seed=own, options=masked)
+        observation, info = env.reset(seed=of_group, options=masked)
         for key in info.keys() & {*_SEEN.values()}:
             values = seen.setdefault(key, np.zeros(info[key].shape))
             values[group] = info[key][group]
@@ -303,18 +279,17 @@ def evaluate(
     whole = {**arguments, "terminate_on_success": False, "autoreset_mode": "Disabled"}
     with closing(gym.make_vec(env_id, episodes, **whole)) as env:
         agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)
-        played = run_episodes(agent, env, seeds, records_effort=False)
+        episodes_played = run_episodes(agent, env, seeds, records_effort=False)
     # Summed step by step, as trainings always have: the last bit of a mean depends on the order.
-    returns = np.cumsum([one.rewards for one in played], axis=-1)[:, -1]
-    at_target = np.array([one.distances[1:] <= one.tolerance for one in played])
-    steps_there = at_target.sum(axis=-1, dtype=np.float64)
+    returns = np.cumsum([episode.rewards for episode in episodes_played], axis=-1)[:, -1]
+    inside = [episode.distances[1:] <= episode.tolerance for episode in episodes_played]
     scores = {
-        "success": float(np.mean([success(one) for one in played])),
-        "final_distance": float(np.mean([final_distance(one) for one in played])),
+        "success": float(np.mean([*map(success, episodes_played)])),
+        "final_distance": float(np.mean([*map(final_distance, episodes_played)])),
         "episode_return": float(returns.mean()),
-        "time_at_target": float(steps_there.mean()) / at_target.shape[-1],
+        "time_at_target": float(np.sum(inside, axis=-1, dtype=np.float64).mean()) / len(inside[0]),
     }
     if scores["success"] > 0.0:
-        times = [time_to_target(one) for one in played]
+        times = [time_to_target(episode) for episode in episodes_played]
         scores["time_to_target"] = round(float(np.nanmedian(times)), 3)
     return scores
