@@ -169,7 +169,8 @@ def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = N
 
 def draw_speed(axes: Axes, movements: Sequence[PlottedMovement], control_step: float) -> None:
     """Draw the median and the quartiles over all movements of the speed in each step."""
-    padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
+    longest = max(len(movement.speeds) for movement in movements)
+    padded = np.full((len(movements), longest), np.nan)
     for row, movement in zip(padded, movements, strict=True):
         row[: len(movement.speeds)] = movement.speeds  # NaNs drop out of the quartiles
     low, median, high = np.nanpercentile(padded, (25, 50, 75), axis=0)

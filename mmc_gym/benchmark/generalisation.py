@@ -45,17 +45,16 @@ class Judged(NamedTuple):
 
 def trained_ranges(cards: Iterable[PolicyCard | None]) -> Ranges:
     """Return the ranges of the first training that had any; empty if none had."""
-    found: dict[str, list[Range]] = defaultdict(list)
-    for card in cards:
-        arguments = card.hyperparameters.get("env_kwargs") or {} if card else {}
-        perturbations = arguments.get("perturbations", ())
-        for change in as_changes(perturbations):
+    ranges: dict[str, list[Range]] = defaultdict(list)
+    for card in filter(None, cards):
+        arguments = card.hyperparameters.get("env_kwargs") or {}
+        for change in as_changes(arguments.get("perturbations", ())):
             for option in change.options if isinstance(change, OneOf) else (change,):
                 if option is not None and option.range is not None:
-                    found[option.family.name].append(option.range)
-        if found:
+                    ranges[option.family.name].append(option.range)
+        if ranges:
             break
-    return {name: sorted(ranges, key=lambda one: one.low) for name, ranges in found.items()}
+    return {name: sorted(spans, key=lambda span: span.low) for name, spans in ranges.items()}
 
 
 def place_of(scenario: str, ranges: Ranges) -> Judged | None:
@@ -67,10 +66,10 @@ def place_of(scenario: str, ranges: Ranges) -> Judged | None:
             return None
         if len(changes) > 1:
             return Judged("combined")
-        strength, own = changes[0].number or 0.0, ranges[families[0]]
-        if any(one.low <= strength <= one.high for one in own):
+        strength, spans = changes[0].number or 0.0, ranges[families[0]]
+        if any(span.low <= strength <= span.high for span in spans):
             return Judged("inside", families[0], strength)
-        within = min(0.0, own[0].low) < strength < max(one.high for one in own)
+        within = min(0.0, spans[0].low) < strength < max(span.high for span in spans)
         return Judged("between" if within else "beyond", families[0], strength)
     return None
 
@@ -90,22 +89,23 @@ def protocol(cards: Iterable[PolicyCard | None]) -> list[str]:
         )
     singles: list[Scenario] = []
     middles: list[Change] = []
-    for name, own in ranges.items():
-        known = sorted({0.0, *(end for one in own for end in one.support())})
+    for name, spans in ranges.items():
+        known = sorted({0.0, *(end for span in spans for end in span.support())})
         strengths = {*known, *((low + high) / 2 for low, high in pairwise(known))}
         strengths |= {share * end for share in BEYOND for end in (known[0], known[-1])}
-        if own[0].whole:
-            strengths = {*range(int(own[0].low), int(own[-1].high) + 1)}
+        middle = (spans[-1].low + spans[-1].high) / 2
+        if spans[0].whole:
+            strengths = {*range(int(spans[0].low), int(spans[-1].high) + 1)}
+            middle = int(middle)
         for strength in sorted(strengths - {0}):
             with suppress(UserError):  # there is no such strength
                 change = FAMILIES[name](float(f"{strength:.3g}"))
                 singles.append(parse_scenario(change.name))
-        middle = (own[-1].low + own[-1].high) / 2
-        middles.append(FAMILIES[name](int(middle) if own[0].whole else middle))
+        middles.append(FAMILIES[name](middle))
     pairs = zip(middles, [*middles[1:], *middles[:1]], strict=True)
-    combined = [parse_scenario(f"{one.name}+{other.name}") for one, other in pairs if one != other]
-    found = [BASELINE]
-    for one in (*singles, *combined):
-        with suppress(UserError), closing(one.make()):  # there may be no such environment
-            found.append(one.name)
-    return found
+    combined = [parse_scenario(f"{a.name}+{b.name}") for a, b in pairs if a != b]
+    names = [BASELINE]
+    for scenario in (*singles, *combined):
+        with suppress(UserError), closing(scenario.make()):  # there may be no such environment
+            names.append(scenario.name)
+    return names

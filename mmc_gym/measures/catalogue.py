@@ -69,7 +69,8 @@ class Quantity:
     @property
     def facts(self) -> dict[str, Any]:
         """All attributes but the function, ready for JSON; `measures_of` reads them."""
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "of"}
+        names = [field.name for field in fields(self) if field.name != "of"]
+        return {name: getattr(self, name) for name in names}
 
     @property
     def shown_unit(self) -> str:
@@ -134,8 +135,8 @@ def people(experiment: str = "") -> dict[str, Published]:
     from mmc_gym._files import read_yaml  # loads YAML
 
     text = files("mmc_gym.measures").joinpath("people.yml").read_text(encoding="utf-8")
-    found = [Published(**row) for row in read_yaml(text) if "source" in row]
-    return {one.quantity: one for one in found if one.experiment == experiment}
+    rows = [Published(**row) for row in read_yaml(text) if "source" in row]
+    return {row.quantity: row for row in rows if row.experiment == experiment}
 
 
 def span(low: float, high: float) -> str:
@@ -193,17 +194,17 @@ def measure(
     return decorate
 
 
-def register(made: Measure) -> None:
+def register(new: Measure) -> None:
     """Register a measure; raise a `UserError` if its name is taken or a value is not accepted."""
     for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
-        value = getattr(made, name)
-        require(value in accepted, f"{name} of {made.name!r}", value, f"one of {accepted}")
-    known = MEASURES.get(made.name)
+        value = getattr(new, name)
+        require(value in accepted, f"{name} of {new.name!r}", value, f"one of {accepted}")
+    known = MEASURES.get(new.name)
     # The same function may be registered again: a notebook's cell runs twice, a worker imports it.
-    if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
+    if new.name in _COLUMNS or (known and _origin(known) != _origin(new)):
         owner = _origin(known) if known else "a column of the data"
-        raise UserError(f"a measure must have a new name, got {made.name!r}: {owner} has it")
-    MEASURES[made.name] = made
+        raise UserError(f"a measure must have a new name, got {new.name!r}: {owner} has it")
+    MEASURES[new.name] = new
 
 
 def _origin(known: Measure) -> str:
@@ -212,7 +213,8 @@ def _origin(known: Measure) -> str:
 
 def own_measures() -> tuple[Measure, ...]:
     """Return the measures that users have registered; workers must `register` them as well."""
-    return tuple(one for one in MEASURES.values() if not one.of.__module__.startswith("mmc_gym."))
+    known = MEASURES.values()
+    return tuple(measure for measure in known if not measure.of.__module__.startswith("mmc_gym."))
 
 
 def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
@@ -222,20 +224,20 @@ def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
 
 def shown_measures() -> tuple[Measure, ...]:
     """Return the measures that tables show."""
-    return tuple(one for one in MEASURES.values() if one.shown)
+    return tuple(measure for measure in MEASURES.values() if measure.shown)
 
 
 def measure_all(episode: Episode) -> dict[str, float]:
     """Return the values of all measures of an episode, by name; refuse what is no number."""
-    found = {}
-    for name, one in MEASURES.items():
-        value: Any = one.of(episode)
+    values = {}
+    for name, measure in MEASURES.items():
+        value: Any = measure.of(episode)
         if not isinstance(value, float):
             is_single = np.asarray(value, dtype=object).ndim == 0
-            fine = is_single and np.asarray(value).dtype.kind in "fiub"
-            require(fine, f"what measure {name!r} returns", value, "a number")
-        found[name] = float(value)
-    return found
+            is_number = is_single and np.asarray(value).dtype.kind in "fiub"
+            require(is_number, f"what measure {name!r} returns", value, "a number")
+        values[name] = float(value)
+    return values
 
 
 def leave_out_failures(
@@ -243,6 +245,6 @@ def leave_out_failures(
 ) -> pd.DataFrame:
     """Set the columns of `successes_only` measures (of `MEASURES`, if None) to NaN in failures."""
     known = MEASURES.values() if measures is None else measures
-    names = [one.name for one in known if one.successes_only and one.name in episodes]
+    names = [row.name for row in known if row.successes_only and row.name in episodes]
     arrived = episodes["success"] == 1.0
     return episodes.assign(**episodes[names].astype(np.float64).where(arrived))

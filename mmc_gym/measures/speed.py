@@ -112,8 +112,8 @@ def correlation_with_minimum_jerk(
         return math.nan
     # As np.corrcoef does, bit for bit, in a fifth of its time.
     both = np.stack((profile - profile.mean(), _minimum_jerk_profile(profile.size, span)))
-    (own, shared), (_, ideal) = (np.dot(both, both.T) * (1 / (profile.size - 1))).tolist()
-    correlation = shared / math.sqrt(own) / math.sqrt(ideal)
+    (variance, covariance), (_, ideal) = (np.dot(both, both.T) * (1 / (profile.size - 1))).tolist()
+    correlation = covariance / math.sqrt(variance) / math.sqrt(ideal)
     return min(max(correlation, -1.0), 1.0)
 
 

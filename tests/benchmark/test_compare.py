@@ -38,16 +38,16 @@ def printed(target):
 
 
 def test_all_agents_and_an_ideal_hand_have_the_same_starts_and_targets(frozen):
-    found = compare({"frozen": frozen, "random": "random"}, episodes=5, console=console())
-    assert list(found.recorded) == ["frozen", "random", REFERENCE]
-    assert found.episodes.groupby("agent")["success"].mean()[REFERENCE] == 1.0
-    assert found.training_steps[REFERENCE] == 0
+    comparison = compare({"frozen": frozen, "random": "random"}, episodes=5, console=console())
+    assert list(comparison.recorded) == ["frozen", "random", REFERENCE]
+    assert comparison.episodes.groupby("agent")["success"].mean()[REFERENCE] == 1.0
+    assert comparison.training_steps[REFERENCE] == 0
     explained = console()
-    found.print(explained, explain=True)
+    comparison.print(explained, explain=True)
     text = " ".join(printed(explained).split())
-    assert "without an arm" in text and "without an arm" not in str(found)
-    given = ["episode", "seed", "start_x", "start_y", "target_x", "target_y"]
-    first, *others = (one[given].to_numpy() for _, one in found.episodes.groupby("agent"))
+    assert "without an arm" in text and "without an arm" not in str(comparison)
+    columns = ["episode", "seed", "start_x", "start_y", "target_x", "target_y"]
+    first, *others = (rows[columns].to_numpy() for _, rows in comparison.episodes.groupby("agent"))
     assert len(np.unique(first[:, -1])) == 5
     for other in others:
         np.testing.assert_array_equal(first, other)
@@ -59,21 +59,21 @@ def test_all_agents_and_an_ideal_hand_have_the_same_starts_and_targets(frozen):
 @pytest.mark.parametrize("agent", ["mmc", "tqc-her"])
 def test_agents_that_play_all_at_once_act_as_one_by_one(agent, monkeypatch):
     monkeypatch.setattr("mmc_gym.benchmark.suite.TOGETHER", 8)
-    found = compare([agent], episodes=12, seed=3).recorded[agent]
-    made = gym.make("MMCReach-v0")
-    alone = run_episodes(mmc_gym.make_agent(agent, made), made, episode_seeds(3, 12))
-    for one, other in zip(found, alone, strict=True):
+    together = compare([agent], episodes=12, seed=3).recorded[agent]
+    env = gym.make("MMCReach-v0")
+    alone = run_episodes(mmc_gym.make_agent(agent, env), env, episode_seeds(3, 12))
+    for episode, other in zip(together, alone, strict=True):
         # A network alone sums in another order than in a batch, so its last bits may differ.
-        np.testing.assert_allclose(one.joint_angles, other.joint_angles, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(one.rewards, other.rewards, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(episode.joint_angles, other.joint_angles, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(episode.rewards, other.rewards, rtol=0, atol=1e-12)
 
 
 def test_a_scenario_is_played_by_its_name():
-    found = compare(["mmc"], "rotation-30", 3)
-    assert found.env == "rotation-30"
+    by_name = compare(["mmc"], "rotation-30", 3)
+    assert by_name.env == "rotation-30"
     other = compare(["mmc"], episodes=3, env_kwargs={"perturbations": ["rotation-30"]})
-    for one, two in zip(found.recorded["mmc"], other.recorded["mmc"], strict=True):
-        np.testing.assert_array_equal(one.hands, two.hands)
+    for first, second in zip(by_name.recorded["mmc"], other.recorded["mmc"], strict=True):
+        np.testing.assert_array_equal(first.hands, second.hands)
 
 
 def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_path, frozen):
@@ -81,7 +81,7 @@ def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_pa
     first, second = folders = tmp_path / "a/für Ξ", tmp_path / "b/new"
     for folder in folders:
         narrow = console(width=64, encoding="ascii")
-        found = compare(agents, episodes=4, seed=5, out=folder, console=narrow)
+        comparison = compare(agents, episodes=4, seed=5, out=folder, console=narrow)
         assert {path.name for path in folder.iterdir()} == FILES
         assert ("f?r ?" in printed(narrow)) == (folder == first)
     (episodes, again), (summary, other) = (
@@ -89,7 +89,7 @@ def test_the_files_hold_what_was_found_and_are_the_same_for_the_same_seed(tmp_pa
         for name in ("episodes", "summary")
     )
     same = partial(pd.testing.assert_frame_equal, check_exact=True, check_dtype=False)
-    same(again, found.episodes)
+    same(again, comparison.episodes)
     assert list(episodes.columns[-len(MEASURES) :]) == list(MEASURES)
     assert len(summary) == 3 * len(MEASURES)
     same(episodes, again)
@@ -119,30 +119,30 @@ def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(columns, capsys,
 
 def test_it_is_a_table_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, frozen):
     still = "50 % <b>_still"
-    found = compare({"oracle": oracle, still: frozen}, episodes=4)
-    assert found.headline == f"success at the end: oracle 100.0 %, {still} 0.0 %"
-    html = found._repr_html_()
+    comparison = compare({"oracle": oracle, still: frozen}, episodes=4)
+    assert comparison.headline == f"success at the end: oracle 100.0 %, {still} 0.0 %"
+    html = comparison._repr_html_()
     assert html.count('<th scope="row">') > len(shown_measures())
     assert "50 % &lt;b&gt;_still" in html and "<b>_still" not in html
-    frame = found.to_frame()
+    frame = comparison.to_frame()
     assert list(frame.index) == ["oracle", still, REFERENCE]
     assert list(frame.columns) == list(MEASURES)
-    means = found.episodes.groupby("agent")["success"].mean()
+    means = comparison.episodes.groupby("agent")["success"].mean()
     assert frame["success"].to_dict() == means.to_dict()
-    assert (found.to_frame("low") <= found.to_frame("high")).loc["oracle", "path_ratio"]
-    assert found.to_frame("missing").loc[still, "path_ratio"] == 4
+    assert (comparison.to_frame("low") <= comparison.to_frame("high")).loc["oracle", "path_ratio"]
+    assert comparison.to_frame("missing").loc[still, "path_ratio"] == 4
     with pytest.raises(UserError, match="value 'mean' is not accepted"):
-        found.to_frame("mean")
-    given = Figure(figsize=(9, 5))
-    assert found.plot(given) is given
-    titles = [axes.get_title().replace("\n", " ") for axes in given.axes[:3]]
+        comparison.to_frame("mean")
+    figure = Figure(figsize=(9, 5))
+    assert comparison.plot(figure) is figure
+    titles = [axes.get_title().replace("\n", " ") for axes in figure.axes[:3]]
     assert titles == list(frame.index)
 
 
 def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle, frozen):
     terminal = console(width=300, terminal=True)
-    found = compare(["mmc", oracle, "random"], episodes=20, console=terminal)
-    assert found.focus == ("Oracle",) and found.agents == ["Oracle", "mmc", "random"]
+    comparison = compare(["mmc", oracle, "random"], episodes=20, console=terminal)
+    assert comparison.focus == ("Oracle",) and comparison.agents == ["Oracle", "mmc", "random"]
     headline, success, time, *_ = printed(terminal).splitlines()
     assert headline.startswith("success at the end: Oracle 100.0 %, mmc")
     assert success == (
@@ -150,7 +150,7 @@ def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle,
         "100.0 points higher than random [83.9, 100.0]"
     )
     ours, theirs = (
-        np.median([MEASURES["time_to_target"].of(one) for one in found.recorded[agent]])
+        np.median([*map(MEASURES["time_to_target"].of, comparison.recorded[agent])])
         for agent in ("Oracle", "mmc")
     )
     word = "slower" if ours > theirs else "faster"
@@ -162,9 +162,9 @@ def test_your_own_agents_come_first_and_are_compared_with_each_other_one(oracle,
 def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
     agents = ["mmc", "random", "ik-dls"]
     assert compare(agents, episodes=3).focus == ("mmc",)
-    found = compare(agents, episodes=3, focus=["ik-dls", "random"])
-    assert found.agents == ["ik-dls", "random", "mmc"]
-    first, *_, last = found.differences.splitlines()
+    comparison = compare(agents, episodes=3, focus=["ik-dls", "random"])
+    assert comparison.agents == ["ik-dls", "random", "mmc"]
+    first, *_, last = comparison.differences.splitlines()
     assert first.startswith("ik-dls, success at the end: ") and "mmc" in first and "random" in first
     assert last == "random, success at the end: 100.0 points lower than mmc [43.9, 100.0]"
 
@@ -191,21 +191,21 @@ def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_epi
     expected = minimum_jerk(np.arange(101) / steps)[:, None] * [1.2, 1.6]
     assert ideal.hands == pytest.approx(expected, abs=1e-9)
     assert np.array_equal(ideal.hands[:31], short.hands)
-    found = measure_all(ideal)
-    assert found["success"] == found["success_1_percent"] == found["velocity_peaks"] == 1
-    assert found["path_ratio"] == pytest.approx(1)
-    assert found["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
-    assert found["minimum_jerk_correlation"] > 0.999
-    assert math.isnan(found["joint_effort"]) and math.isnan(found["joint_work"])
+    values = measure_all(ideal)
+    assert values["success"] == values["success_1_percent"] == values["velocity_peaks"] == 1
+    assert values["path_ratio"] == pytest.approx(1)
+    assert values["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
+    assert values["minimum_jerk_correlation"] > 0.999
+    assert math.isnan(values["joint_effort"]) and math.isnan(values["joint_work"])
 
 
 def test_it_follows_a_target_that_jumps_whatever_agents_do(frozen, oracle):
     env = gym.make("MMCReachDoubleStep200-v0")
-    one, other = (
+    frozen_ideals, oracle_ideals = (
         minimum_jerk_episodes(run_episodes(agent, env, episode_seeds(1, 5)))
         for agent in (frozen, oracle)
     )
-    for ideal, same in zip(one, other, strict=True):
+    for ideal, same in zip(frozen_ideals, oracle_ideals, strict=True):
         assert np.array_equal(ideal.hands, same.hands)
         assert ideal.distances[-1] == pytest.approx(0, abs=1e-9)
         turn = np.linalg.norm(np.diff(ideal.hands, 2, axis=0), axis=-1)

@@ -36,8 +36,8 @@ def test_the_protocol_has_scenarios_in_all_places_and_every_family():
     judged = [place_of(name, ranges) for name in names]
     assert names[0] == "random"
     assert len(set(names)) == len(names)
-    assert {one.place for one in judged[1:]} == {"inside", "between", "beyond", "combined"}
-    assert {one.family for one in judged[1:]} == {"", *ranges}
+    assert {place.place for place in judged[1:]} == {"inside", "between", "beyond", "combined"}
+    assert {place.family for place in judged[1:]} == {"", *ranges}
     with pytest.raises(UserError, match="trained on ranges of strengths, such as ppo-drawn"):
         protocol([None, resolve("ppo-0").card])
 
@@ -46,7 +46,7 @@ def test_the_report_says_where_an_agent_loses_against_the_yardstick(tmp_path):
     scenarios = ["random", "rotation-40", "rotation-10", "rotation-75", "rotation-40+delay-100"]
     benchmark(["ppo-drawn-0", "mmc"], tmp_path, scenarios, episodes=4, jobs=1)
     table = generalisation_table(read_results(tmp_path, 50, yardstick="ppo-drawn-0"))
-    assert [one.label for one in table.headings[1:-1]] == [
+    assert [heading.label for heading in table.headings[1:-1]] == [
         *("inside", "between", "beyond", "combined")
     ]
     learned, network = sorted(table.rows, key=lambda row: row.name != "ppo-drawn-0")

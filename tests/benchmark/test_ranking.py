@@ -14,7 +14,7 @@ from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 from mmc_gym.measures.words import control_note, other_controls
 
 
-def played(agent, environment, times, training_seed=None):
+def rows_of(agent, environment, times, training_seed=None):
     """Episodes of 2 s with these times to target, NaN for those without success."""
     times = np.array(times, dtype=np.float64)
     values = {"agent": agent, "environment": environment, "instance": range(len(times))}
@@ -32,10 +32,10 @@ NAN = float("nan")
 
 def test_environments_weigh_the_same():
     ranking = summary(
-        played("mmc", "large", [0.5] * 20),
-        played("mmc", "small", [NAN, NAN]),
-        played("other", "large", [0.5] * 12 + [NAN] * 8),
-        played("other", "small", [0.5] * 2),
+        rows_of("mmc", "large", [0.5] * 20),
+        rows_of("mmc", "small", [NAN, NAN]),
+        rows_of("other", "large", [0.5] * 12 + [NAN] * 8),
+        rows_of("other", "small", [0.5] * 2),
     )
     assert ranking.index.tolist() == ["other", "mmc"]
     assert ranking["success"].tolist() == pytest.approx([0.8, 0.5])
@@ -46,9 +46,9 @@ def test_environments_weigh_the_same():
 def test_agents_of_another_control_mode_are_ranked_below_by_themselves():
     times = {"mmc": [0.4, NAN], "ppo": [0.5, NAN], "torque": [0.3, 0.3], "ideal torque": [0.2, 0.2]}
     controls = dict.fromkeys(times, "joint_torque") | dict.fromkeys(["mmc", "ppo"], "joint_delta")
-    one = played("reflex", "one", [0.1, 0.1])
-    frames = [played(agent, "one", of) for agent, of in times.items()]
-    ranking = summary(*frames, one, controls={**controls, "reflex": "joint_delta"})
+    reflex = rows_of("reflex", "one", [0.1, 0.1])
+    frames = [rows_of(agent, "one", of) for agent, of in times.items()]
+    ranking = summary(*frames, reflex, controls={**controls, "reflex": "joint_delta"})
     assert ranking["rank"].to_dict() == {
         **{"reflex": 1, "mmc": 2, "ppo": 3},
         **{"ideal torque": 1, "torque": 2},
@@ -58,7 +58,7 @@ def test_agents_of_another_control_mode_are_ranked_below_by_themselves():
 def test_what_did_not_act_is_ranked_last_of_those_that_did():
     """However many did not: they have no control mode."""
     controls = {"mmc": "joint_delta", "ppo": "joint_delta", "her": "", "other": "", "third": ""}
-    frames = (played("mmc", "one", [0.4, 0.4]), played("ppo", "one", [NAN, 0.4]))
+    frames = (rows_of("mmc", "one", [0.4, 0.4]), rows_of("ppo", "one", [NAN, 0.4]))
     lost = [CellKey(agent, None, "one") for agent in ("her", "other", "third")]
     ranking = summary(*frames, not_played=lost, controls=controls)
     assert ranking["rank"].tolist() == [1, 2, 3, 3, 3]
@@ -70,8 +70,8 @@ def test_what_did_not_act_is_ranked_last_of_those_that_did():
 def test_a_copy_ties_with_itself():
     times = [0.4, 0.8, NAN, 1.2]
     ranking = summary(
-        *(played(agent, "one", times) for agent in ("mmc", "twin")),
-        played("slower", "one", [0.6, 0.9, NAN, 1.4]),
+        *(rows_of(agent, "one", times) for agent in ("mmc", "twin")),
+        rows_of("slower", "one", [0.6, 0.9, NAN, 1.4]),
     )
     assert ranking["rank"].to_dict() == {"mmc": 1, "twin": 1, "slower": 3}
     assert ranking.loc["twin", "improvement"] == 0.5
@@ -82,8 +82,8 @@ def test_a_copy_ties_with_itself():
 
 
 def test_times_that_an_environment_does_not_report_are_left_out():
-    timed = [played(agent, "timed", [0.5, NAN, 0.7]) for agent in ("mmc", "other")]
-    untold = [played(agent, "untold", [NAN] * 3) for agent in ("mmc", "other")]
+    timed = [rows_of(agent, "timed", [0.5, NAN, 0.7]) for agent in ("mmc", "other")]
+    untold = [rows_of(agent, "untold", [NAN] * 3) for agent in ("mmc", "other")]
     untold[0]["success"] = 1.0
     alone, both = summary(*untold), summary(*timed, *untold)
     assert alone[["settled", "settled_low", "improvement", "time_to_target"]].isna().all(axis=None)
@@ -92,9 +92,9 @@ def test_times_that_an_environment_does_not_report_are_left_out():
 
 
 def test_what_was_not_played_has_no_success():
-    frames = [played("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
+    frames = [rows_of("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
     broken = [CellKey("broken", None, name) for name in ("one", "two")]
-    half = played("half", "one", [0.5] * 4)
+    half = rows_of("half", "one", [0.5] * 4)
     ranking = summary(*frames, half, not_played=[*broken, CellKey("half", None, "two")])
     assert ranking["rank"].to_dict() == {"half": 1, "mmc": 2, "broken": 3}
     assert ranking["success"].to_dict() == {"half": 0.5, "mmc": 0.25, "broken": 0.0}
@@ -102,19 +102,19 @@ def test_what_was_not_played_has_no_success():
     alone = summary(*frames, not_played=broken)
     assert alone.loc["broken", "improvement"] == 0.375
     with pytest.raises(ValueError, match="no scenario that all agents have attempted"):
-        summary(played("mmc", "one", [0.5]), played("other", "two", [0.5]))
+        summary(rows_of("mmc", "one", [0.5]), rows_of("other", "two", [0.5]))
 
 
 def test_training_seeds_are_replicates():
-    frames = [played("ppo", "one", [0.5 + 0.1 * seed] * 4, seed) for seed in range(3)]
-    ranking = summary(played("mmc", "one", [0.65] * 4), *frames)
+    frames = [rows_of("ppo", "one", [0.5 + 0.1 * seed] * 4, seed) for seed in range(3)]
+    ranking = summary(rows_of("mmc", "one", [0.65] * 4), *frames)
     assert ranking["training_seeds"].to_dict() == {"mmc": 0, "ppo": 3}
     assert ranking.loc["ppo", "improvement"] == pytest.approx(2 / 3)
     assert ranking.loc["ppo", "settled_low"] < ranking.loc["ppo", "settled_high"]
 
 
 def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
-    ranking = summary(played("other", "one", [0.5]), played(REFERENCE, "one", [0.4]))
+    ranking = summary(rows_of("other", "one", [0.5]), rows_of(REFERENCE, "one", [0.4]))
     assert ranking.index.tolist() == ["other"]
     assert np.isnan(ranking.loc["other", "improvement"])
     assert ranking.loc["other", "settled"] == 0.75  # from 0.5 s to the end, at 2 s

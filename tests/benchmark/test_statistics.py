@@ -37,9 +37,9 @@ def test_missing_values_are_left_out_and_counted():
     with_holes, without = sample_interval(holes, "median"), sample_interval(values, "median")
     assert (with_holes.count, with_holes.missing) == (40, 4)
     assert (with_holes.low, with_holes.high) == (without.low, without.high)
-    nothing, one = sample_interval([np.nan] * 3, "mean"), sample_interval([2.0], "median")
+    nothing, single = sample_interval([np.nan] * 3, "mean"), sample_interval([2.0], "median")
     assert math.isnan(nothing.estimate) and (nothing.count, nothing.missing) == (0, 3)
-    assert one.estimate == 2.0 and math.isnan(one.low) and math.isnan(one.high)
+    assert single.estimate == 2.0 and math.isnan(single.low) and math.isnan(single.high)
     equal = sample_interval(np.full(50, 0.1), "mean")  # rounding leaves no width
     assert (equal.low, equal.estimate, equal.high) == (0.1, 0.1, 0.1)
 
@@ -61,24 +61,24 @@ def test_a_value_that_no_draw_can_change_has_no_interval(tables, has_interval):
     agents = {name: values for name in "ab"}
     scores = Scores(tuple(table.shape[1] for table in values), agents, dict.fromkeys(agents, 0))
     bootstrap = Bootstrap(scores, 100)
-    found = [bootstrap.estimate("a", "mean")]
-    found += [bootstrap.difference("a", "b"), bootstrap.improvement("a", "b")]
+    intervals = [bootstrap.estimate("a", "mean")]
+    intervals += [bootstrap.difference("a", "b"), bootstrap.improvement("a", "b")]
     if len(tables) == 1:
-        found += [bootstrap.estimate("a", "median"), sample_interval(tables[0], "median")]
-    assert {math.isfinite(one.low) for one in found} == {has_interval}
+        intervals += [bootstrap.estimate("a", "median"), sample_interval(tables[0], "median")]
+    assert {math.isfinite(interval.low) for interval in intervals} == {has_interval}
     assert resampled_means([[1.0, 2.0]]).tolist() == [[1.0, 2.0]]
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 20), (20, 20), (7, 20), (1, 2)])
 def test_a_share_of_one_policy_has_wilsons_interval(successes, count):
     values = np.arange(count) < successes
-    found = sample_interval([*values, math.nan], "mean")
+    interval = sample_interval([*values, math.nan], "mean")
     ends = binomtest(successes, count).proportion_ci(method="wilson")
-    assert (found.estimate, found.missing) == (successes / count, 1)
-    assert (found.low, found.high) == pytest.approx(tuple(ends))
+    assert (interval.estimate, interval.missing) == (successes / count, 1)
+    assert (interval.low, interval.high) == pytest.approx(tuple(ends))
     both = Bootstrap.of(pd.concat([rows("a", values, "E"), rows("a", values, "F")]))
     alike = successes in (0, count)  # then the bootstrap has no width
-    assert (both.estimate("a", "mean").low == found.low) == alike
+    assert (both.estimate("a", "mean").low == interval.low) == alike
     if alike:  # as many fail elsewhere
         half = Bootstrap.of(pd.concat([rows("a", values, "E"), rows("a", 1 - values, "F")]))
         low, high = half.estimate("a", "mean")[1:]
@@ -89,18 +89,19 @@ def test_a_share_of_one_policy_has_wilsons_interval(successes, count):
 
 
 def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():
-    found = success_interval([0.998] * 10, episodes=500)
+    interval = success_interval([0.998] * 10, episodes=500)
     spread = math.sqrt(0.998 * 0.002 / 5_000)
-    assert found.estimate == pytest.approx(0.998) and found.count == 10
-    assert found.low == pytest.approx(0.998 - 1.96 * spread, abs=0.4 * spread)
-    assert found.low <= 0.9968 < 0.998 < found.high  # 15,000 fresh episodes found 0.9968
+    assert interval.estimate == pytest.approx(0.998) and interval.count == 10
+    assert interval.low == pytest.approx(0.998 - 1.96 * spread, abs=0.4 * spread)
+    assert interval.low <= 0.9968 < 0.998 < interval.high  # 15,000 fresh episodes found 0.9968
     fractions = np.random.default_rng(0).uniform(0.2, 0.8, size=20)
-    found = success_interval([*fractions, math.nan], episodes=100_000)
+    interval = success_interval([*fractions, math.nan], episodes=100_000)
     plain = sample_interval(fractions, "mean")
-    assert (found.low, found.high) == pytest.approx((plain.low, plain.high), abs=0.02)
-    assert found.missing == 1
-    one = success_interval([0.5], episodes=100)
-    assert (one.estimate, one.count) == (0.5, 1) and math.isnan(one.low) and math.isnan(one.high)
+    assert (interval.low, interval.high) == pytest.approx((plain.low, plain.high), abs=0.02)
+    assert interval.missing == 1
+    single = success_interval([0.5], episodes=100)
+    assert (single.estimate, single.count) == (0.5, 1)
+    assert math.isnan(single.low) and math.isnan(single.high)
 
 
 def rows(agent, values, environment="E", seeds=None):
@@ -121,8 +122,8 @@ def both(a, b, **arguments):
     return Bootstrap.of(pd.concat([rows("a", a), rows("b", b)]), **arguments)
 
 
-def width(found):
-    return found.high - found.low
+def width(interval):
+    return interval.high - interval.low
 
 
 def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
@@ -130,10 +131,10 @@ def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     values = random.normal(size=(40, 1)) + 2.0 * random.normal(size=(1, 100))
     error = math.sqrt(values.mean(1).var() / 40 + values.mean(0).var() / 100)
     assert width(estimate(rows("a", values))) == pytest.approx(2 * 1.96 * error, rel=0.08)
-    one = random.normal(size=(1, 400))
-    untrained = estimate(rows("a", one, seeds=[None]))  # resampled over instances alone
-    assert untrained.estimate == pytest.approx(one.mean())
-    assert width(untrained) == pytest.approx(2 * 1.96 * one.std() / 20, rel=0.08)
+    values = random.normal(size=(1, 400))
+    untrained = estimate(rows("a", values, seeds=[None]))  # resampled over instances alone
+    assert untrained.estimate == pytest.approx(values.mean())
+    assert width(untrained) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
 
 
 def test_shares_that_differ_in_no_pair_may_differ_in_what_so_many_pairs_hide():
@@ -156,8 +157,8 @@ def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     assert np.array_equal(first, shared)
     assert other.shape == (21, 8)
     small, large = rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")
-    found = estimate(small, large, resamples=50)  # and environments count equally
-    assert found.estimate == pytest.approx(0.5)
+    interval = estimate(small, large, resamples=50)  # and environments count equally
+    assert interval.estimate == pytest.approx(0.5)
 
 
 def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
@@ -166,17 +167,17 @@ def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
     a, b = (hard + more + 0.1 * random.normal(size=(5, 200)) for more in (0.5, 0.0))
     bootstrap = both(a, b)
     difference = bootstrap.difference("a", "b")
-    one, other = (bootstrap.estimate(agent, "mean") for agent in "ab")
-    assert difference.estimate == pytest.approx(one.estimate - other.estimate, abs=1e-9)
-    assert difference.low > 0.45 and width(difference) < 0.05 * width(one)
+    first, second = (bootstrap.estimate(agent, "mean") for agent in "ab")
+    assert difference.estimate == pytest.approx(first.estimate - second.estimate, abs=1e-9)
+    assert difference.low > 0.45 and width(difference) < 0.05 * width(first)
     assert bootstrap.difference("b", "a").estimate == pytest.approx(-difference.estimate)
 
 
 @pytest.mark.parametrize("seeds", [1, 2, 10])
 def test_a_copy_of_an_agent_is_better_in_exactly_half_of_all_cases(seeds):
     values = np.random.default_rng(5).normal(size=(seeds, 60)).round(1)
-    found = both(values, values).improvement("a", "b")
-    assert found.low <= found.estimate == 0.5 <= found.high
+    improvement = both(values, values).improvement("a", "b")
+    assert improvement.low <= improvement.estimate == 0.5 <= improvement.high
 
 
 def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_integral():
@@ -184,9 +185,9 @@ def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_
     random = np.random.default_rng(6)
     hard = 10 * random.normal(size=(1, 4000))
     a, b = (hard + more + random.normal(size=(4, 4000)) for more in (0.7, 0.0))
-    found = both(a, b, resamples=50).improvement("a", "b")
-    assert found.estimate == pytest.approx(norm.cdf(0.7 / math.sqrt(2)), abs=0.01)
-    assert found.low < found.estimate < found.high
+    improvement = both(a, b, resamples=50).improvement("a", "b")
+    assert improvement.estimate == pytest.approx(norm.cdf(0.7 / math.sqrt(2)), abs=0.01)
+    assert improvement.low < improvement.estimate < improvement.high
 
 
 def test_missing_scores_are_left_out_of_comparisons():

@@ -29,9 +29,10 @@ def test_a_measure_of_your_own_is_one_decorated_function(make_episode):
     function = register_half_way_time()
     episode = make_episode([[0, 0], [0.4, 0], [0.6, 0], [1, 0]], [1, 0])
     assert measure_all(episode)["half_way_time"] == function(episode) == 0.04
-    own = MEASURES["half_way_time"]
-    assert (own.label, own.unit, own.best, own.statistic) == ("half-way time", "s", "low", "median")
-    assert list(MEASURES)[-1] == "half_way_time" and catalogue.own_measures() == (own,)
+    half_way = MEASURES["half_way_time"]
+    assert (half_way.label, half_way.unit) == ("half-way time", "s")
+    assert (half_way.best, half_way.statistic) == ("low", "median")
+    assert list(MEASURES)[-1] == "half_way_time" and catalogue.own_measures() == (half_way,)
     register_half_way_time()  # as a notebook does that runs a cell twice
     assert len(catalogue.own_measures()) == 1
 
@@ -67,26 +68,26 @@ def test_a_decorator_that_is_used_wrongly_says_how_it_is_used(wrong):
 
 def test_a_store_knows_measures_whose_functions_are_not_here():
     register_half_way_time()
-    (own,) = catalogue.own_measures()
-    facts = json.loads(json.dumps(own.facts))
-    del MEASURES[own.name]
-    found = catalogue.measures_of({own.name: facts, "success": "fraction"})
-    assert (found[own.name], list(found)) == (own, [*MEASURES, own.name])
+    (half_way,) = catalogue.own_measures()
+    facts = json.loads(json.dumps(half_way.facts))
+    del MEASURES[half_way.name]
+    known = catalogue.measures_of({half_way.name: facts, "success": "fraction"})
+    assert (known[half_way.name], list(known)) == (half_way, [*MEASURES, half_way.name])
     with pytest.raises(RuntimeError, match="its function is not loaded"):
-        found[own.name].of(None)
+        known[half_way.name].of(None)
 
 
 def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     code = "from mmc_gym.measures import measure\n@measure(label='x', unit='{}')\n"
     code += "def x(episode): return {}\n"
-    found = []
+    identities = []
     for number, facts in enumerate([("s", 0.0), ("s", 1.0), ("rad", 1.0)]):
         (tmp_path / f"measures_{number}.py").write_text(code.format(*facts))
         import_modules([f"measures_{number}"])
-        made = MEASURES.pop("x")
-        found.append(identity(made.facts, made.of))
-    assert len(set(found)) == 3 and found[2] == identity(made.facts, made.of)
+        measure_x = MEASURES.pop("x")
+        identities.append(identity(measure_x.facts, measure_x.of))
+    assert len(set(identities)) == 3 and identities[2] == identity(measure_x.facts, measure_x.of)
     with pytest.raises(ValueError, match="module 'nobody' cannot be imported"):
         import_modules(["nobody"])
 
@@ -103,11 +104,11 @@ def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypat
     ],
 )
 def test_a_value_is_written_with_the_unit_and_decimals_of_its_measure(name, value, number, unit):
-    one = MEASURES[name]
-    assert (one.number(value), one.quantity(value)) == (number, number + unit)
+    measure = MEASURES[name]
+    assert (measure.number(value), measure.quantity(value)) == (number, number + unit)
     interval = "" if math.isnan(value) else f"[{number}, {number}]"
-    assert one.interval(value, value) == interval
-    assert all(len(one.label) <= 20 for one in catalogue.shown_measures())
+    assert measure.interval(value, value) == interval
+    assert all(len(measure.label) <= 20 for measure in catalogue.shown_measures())
 
 
 def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(make_episode):
@@ -142,9 +143,9 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
         "joint_work": 5.0,
         "episode_return": -0.25,
     }
-    found = measure_all(episode)
-    assert found == pytest.approx(expected, nan_ok=True)
-    assert list(found) == list(expected)  # the columns of data, and the rows of tables
+    values = measure_all(episode)
+    assert values == pytest.approx(expected, nan_ok=True)
+    assert list(values) == list(expected)  # the columns of data, and the rows of tables
     assert MEASURES["sparc"].full_label == "smoothness (SPARC)"
 
 
@@ -153,19 +154,20 @@ def test_rest_after_a_movement_does_not_change_its_shape(make_episode):
     s = np.pad(s, ((0, 60), (0, 0)), mode="edge")
     hands = np.concatenate([minimum_jerk(s), 0.2 * np.sin(2 * s)], axis=-1)
     joints = np.concatenate([s, s**2, s**3], axis=-1)
-    one, other = (
+    values, other_values = (
         measure_all(make_episode(hands[:steps], hands[-1], joint_angles=joints[:steps]))
         for steps in (36, None)
     )
-    shapes = list(one)[list(one).index("maximal_deviation") : list(one).index("joint_effort")]
+    names = list(values)
+    shapes = names[names.index("maximal_deviation") : names.index("joint_effort")]
     for name in shapes:
-        assert one[name] == pytest.approx(other[name])
+        assert values[name] == pytest.approx(other_values[name])
 
 
 def test_what_an_episode_does_not_have_is_not_measured(make_episode):
     def missing(hands, target, **arrays):
-        found = measure_all(make_episode(hands, target, **arrays))
-        return {name for name, value in found.items() if math.isnan(value)}
+        values = measure_all(make_episode(hands, target, **arrays))
+        return {name for name, value in values.items() if math.isnan(value)}
 
     tremor, still = 0.01 * np.random.default_rng(0).normal(size=(101, 2)), np.zeros((6, 2))
     assert missing(tremor, [1, 1]) >= {"sparc", "time_to_peak", "minimum_jerk_correlation"}
@@ -185,7 +187,7 @@ def test_a_hand_that_never_arrives_has_no_measure_of_how_it_moves(make_episode):
     frame = pd.DataFrame([measure_all(episode) for episode in episodes.values()], index=episodes)
     assert frame.loc["stays", "path_ratio"] == 0  # the data keep it
     seen = leave_out_failures(frame)
-    of_all = [name for name, one in MEASURES.items() if not one.successes_only]
+    of_all = [name for name, measure in MEASURES.items() if not measure.successes_only]
     assert seen.drop(columns=of_all).loc["stays"].isna().all()
     pd.testing.assert_frame_equal(seen[of_all], frame[of_all])
     pd.testing.assert_series_equal(seen.loc["arrives"], frame.loc["arrives"])

@@ -87,8 +87,8 @@ def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(
 )
 def test_path_ratio_is_over_the_line_to_a_fixed_target(make_episode, hands, target, cursors, ratio):
     cursors = None if cursors is None else np.array(cursors, float)
-    found = reaching.path_ratio(make_episode(hands, target, cursors=cursors))
-    assert found == pytest.approx(ratio, nan_ok=True)
+    value = reaching.path_ratio(make_episode(hands, target, cursors=cursors))
+    assert value == pytest.approx(ratio, nan_ok=True)
 
 
 STEP = 0.02
@@ -133,8 +133,8 @@ def test_minimum_jerk_is_the_reference_of_all_shapes():
     # 1 − cos 2πt have the means 1 and 1, the variances 3/7 and 1/2, and the covariance 45/π⁴.
     time = (np.arange(2000) + 0.5) / 2000
     expected = 45 / math.pi**4 / math.sqrt(3 / 14)
-    found = speed.correlation_with_minimum_jerk(1 - np.cos(2 * math.pi * time))
-    assert found == pytest.approx(expected, abs=1e-5)
+    correlation = speed.correlation_with_minimum_jerk(1 - np.cos(2 * math.pi * time))
+    assert correlation == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -152,8 +152,8 @@ def test_shape_and_smoothness_ignore_the_scale_of_speed_and_need_a_movement(meas
 def test_the_moving_part_of_minimum_jerk_is_its_span_whatever_rest_surrounds_it(rest):
     moving = np.pad(bell(4_000), rest)
     part = moving_part(moving)
-    found = (part.start - rest) / 4_000, (part.stop - rest) / 4_000
-    assert found == pytest.approx(speed.MINIMUM_JERK_SPAN, abs=3e-4)
+    span = (part.start - rest) / 4_000, (part.stop - rest) / 4_000
+    assert span == pytest.approx(speed.MINIMUM_JERK_SPAN, abs=3e-4)
     speeds = moving[part]
     likeness = speed.correlation_with_minimum_jerk(speeds, speed.MINIMUM_JERK_SPAN)
     assert likeness == pytest.approx(1, abs=1e-6)

@@ -115,22 +115,22 @@ class Slider(gym.Env):
 
 def test_an_environment_of_your_own_needs_no_arm_but_an_end(env, frozen, monkeypatch):
     (episode,) = run_episodes(says((np.array([1.0, 0.0]), None)), TimeLimit(Slider(), 5), [1])
-    found = measure_all(episode)
-    assert (found["success"], found["time_to_target"]) == (1, 0.5)
-    assert np.isnan(found["joint_work"]) and np.isnan(found["joint_effort"])
+    measured = measure_all(episode)
+    assert (measured["success"], measured["time_to_target"]) == (1, 0.5)
+    assert np.isnan(measured["joint_work"]) and np.isnan(measured["joint_effort"])
     monkeypatch.setattr(rollout, "MAX_STEPS", 150)
     with pytest.raises(RuntimeError, match="did not end within 150 steps"):
         run_episodes(frozen, env.unwrapped, [1])
 
 
 def assert_same(together, alone):
-    for one, other in zip(together, alone, strict=True):
+    for episode, other in zip(together, alone, strict=True):
         for name, values in asdict(other).items():
             if values is not None and name != "action_times":
-                found = getattr(one, name)
-                np.testing.assert_allclose(found, values, rtol=0, atol=1e-9, err_msg=name)
-        assert np.isnan(one.action_times).all()
-        assert (one.cursors is None) == (other.cursors is None)
+                recorded = getattr(episode, name)
+                np.testing.assert_allclose(recorded, values, rtol=0, atol=1e-9, err_msg=name)
+        assert np.isnan(episode.action_times).all()
+        assert (episode.cursors is None) == (other.cursors is None)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +159,8 @@ def test_episodes_together_are_those_one_by_one(name, arguments):
         assert_same(run_episodes(agent, vector, seeds, options=options), alone)
     assert not vector.unwrapped.arms.records_effort
     assert (alone[0].hands[0] == alone[2].hands[0]).all() == (options is not None)
-    assert all((one.cursors is None) == ("rotation" not in name) for one in alone)
-    assert all(np.isnan(one.servo_work).all() == ("engine" in arguments) for one in alone)
+    assert all((episode.cursors is None) == ("rotation" not in name) for episode in alone)
+    assert all(np.isnan(episode.servo_work).all() == ("engine" in arguments) for episode in alone)
 
 
 def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
@@ -168,13 +168,13 @@ def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
     agent = make_agent("mmc", env)
     scores = evaluate(lambda _: agent, "MMCReach-v0", {"max_episode_steps": 40}, 20, seed=5)
     episodes = run_episodes(agent, env, range(5, 25))
-    at_target = [one.distances <= one.tolerance for one in episodes]
+    at_target = [episode.distances <= episode.tolerance for episode in episodes]
     assert scores == {
-        "success": np.mean([one[-1] for one in at_target]),
-        "final_distance": pytest.approx(np.mean([one.distances[-1] for one in episodes])),
-        "episode_return": pytest.approx(np.mean([one.rewards.sum() for one in episodes])),
-        "time_at_target": pytest.approx(np.mean([one[1:].mean() for one in at_target])),
-        "time_to_target": pytest.approx(np.nanmedian([time_to_target(one) for one in episodes])),
+        "success": np.mean([inside[-1] for inside in at_target]),
+        "final_distance": pytest.approx(np.mean([episode.distances[-1] for episode in episodes])),
+        "episode_return": pytest.approx(np.mean([episode.rewards.sum() for episode in episodes])),
+        "time_at_target": pytest.approx(np.mean([inside[1:].mean() for inside in at_target])),
+        "time_to_target": pytest.approx(np.nanmedian([*map(time_to_target, episodes)])),
     }
     assert 0 < scores["success"] < 1
 
@@ -199,6 +199,6 @@ VECTOR = gym.make_vec("MMCReach-v0", num_envs=2)
     ],
 )
 def test_wrong_arguments_are_refused(arguments, message):
-    given = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
+    accepted = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
     with pytest.raises(UserError, match=message):
-        run_episodes(**{**given, **arguments})
+        run_episodes(**{**accepted, **arguments})

@@ -72,16 +72,16 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
     policies = {REFERENCE: [store.Policy(training_seed=None, **ideal)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
         sources = {seed: name if seed is None else f"{name}-{seed}" for seed in seeds}
-        known = [resolve(source or own) for own in sources.values()]
+        resolved = [resolve(source or policy) for policy in sources.values()]
         policies[name] = [
             store.Policy(
                 training_seed=seed,
-                source=one.source_name,
-                name=one.name,
-                knowledge=one.knowledge,
-                training_steps=one.card.training_steps if one.card else None,
+                source=agent.source_name,
+                name=agent.name,
+                knowledge=agent.knowledge,
+                training_steps=agent.card.training_steps if agent.card else None,
             )
-            for seed, one in zip(seeds, known)
+            for seed, agent in zip(seeds, resolved)
         ]
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)
@@ -97,7 +97,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
     manifest = store.Manifest(
         episodes=instances,
         seed=0,
-        measures={name: one.facts for name, one in MEASURES.items()},
+        measures={name: measure.facts for name, measure in MEASURES.items()},
         environments=environments,
         agents=policies,
         not_played=[skipped] if "mmc" in movers else [],

@@ -90,7 +90,7 @@ def test_slider_and_keys_move_the_replay_and_it_plays_and_pauses(page):
     begin = pictures(page)
     seek(page, 12)
     assert len(begin) >= 4  # an arm and a speed of two agents at least
-    assert all(one != other for one, other in zip(begin, pictures(page), strict=True))
+    assert all(before != after for before, after in zip(begin, pictures(page), strict=True))
     stage = page.find_element(By.ID, "replay-stage")
     for key, clock in ((Keys.HOME, "0.00 s"), (Keys.ARROW_RIGHT, "0.02 s")):
         stage.send_keys(key)
@@ -139,8 +139,8 @@ def test_environment_instance_and_agents_can_be_chosen(page):
     boxes = page.find_elements(By.CSS_SELECTOR, "#replay-agents input")
     shown = sum(box.is_selected() for box in boxes)
     assert len(pictures(page)) == 2 * shown
-    chosen = next(box for box in boxes if box.is_selected())
-    page.execute_script("arguments[0].click()", chosen)  # it may lie outside the window
+    box = next(box for box in boxes if box.is_selected())
+    page.execute_script("arguments[0].click()", box)  # it may lie outside the window
     assert len(pictures(page)) == 2 * (shown - 1)
 
 
@@ -149,9 +149,9 @@ def test_a_failure_in_the_table_is_shown_by_the_replay(page):
     link = page.find_elements(By.CSS_SELECTOR, "button.show")[-1]
     page.execute_script("arguments[0].click()", link)
     for select, name in (("environment", "scenario"), ("instance", "instance")):
-        chosen = Select(page.find_element(By.ID, f"replay-{select}")).first_selected_option
-        assert chosen.get_attribute("value") == link.get_attribute(f"data-{name}")
-    assert "failed" in chosen.text
+        option = Select(page.find_element(By.ID, f"replay-{select}")).first_selected_option
+        assert option.get_attribute("value") == link.get_attribute(f"data-{name}")
+    assert "failed" in option.text
     assert pictures(page) != first
 
 

@@ -32,8 +32,8 @@ def test_cards_are_of_all_that_ship_or_of_agents_by_name_or_pattern(tmp_path):
     }
     for seed in (10, 2):
         save_policy(NETWORK, training("mine", seed=seed), tmp_path / f"mine-{seed}")
-    found = read_cards(["sac-1", str(tmp_path / "mine-*")])
-    seeds = {name: [card.seed for card in cards] for name, cards in found.items()}
+    cards_of = read_cards(["sac-1", str(tmp_path / "mine-*")])
+    seeds = {name: [card.seed for card in cards] for name, cards in cards_of.items()}
     assert seeds == {"sac-1": [1], "mine": [2, 10]}
     with pytest.raises(UserError, match="agents must be trained policies with a card, got 'mmc'"):
         read_cards(["mmc"])
@@ -50,8 +50,8 @@ def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
     assert list(curve["steps"]) == [1_000, 2_000, 3_000]
     # With three seeds, 1 in 27 resamples holds nothing but the smallest.
     expected = [[0.2, 0.0, 0.4, 3], [0.5, 0.4, 0.6, 3], [1.0, 1.0, 1.0, 3]]
-    found = curve[["success", "low", "high", "seeds"]]
-    np.testing.assert_allclose(found, expected, atol=0.03)
+    intervals = curve[["success", "low", "high", "seeds"]]
+    np.testing.assert_allclose(intervals, expected, atol=0.03)
     figure = draw_learning_curves(curve, mean_curves(rows, "cpu_seconds"))
     drawn = next(line for line in figure.axes[1].lines if len(line.get_xdata()) > 2)
     np.testing.assert_allclose(drawn.get_xydata(), [[1, 0.2], [2, 0.5], [3, 1]])
@@ -77,9 +77,9 @@ def table_of(*cards):
 
 def test_steps_and_minutes_to_a_level_are_the_median_over_seeds_and_may_be_later():
     rises = [(1.0, 0.9, 1.0), (0.5, 1.0, 1.0), (0.5, 0.5, 1.0)]  # also where it is lost again
-    found = table_of(*(training(seed=seed, success=rise) for seed, rise in enumerate(rises)))
+    table = table_of(*(training(seed=seed, success=rise) for seed, rise in enumerate(rises)))
     for measure in ("steps_to_95", "minutes_to_98"):
-        row = found[measure]
+        row = table[measure]
         assert (row["estimate"], row["low"], row["high"]) == (2.0, 1.0, 3.0)
     never = [training(seed=seed, success=(0.5, 0.5, 0.5)) for seed in range(3, 6)]
     both = [training(seed=seed, success=rises[1]) for seed in range(2)]

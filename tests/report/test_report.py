@@ -98,8 +98,8 @@ def test_a_report_in_which_no_agent_succeeds(make_store, movers, tmp_path):
 @pytest.mark.parametrize("segments", [2, 4])
 def test_arms_of_other_numbers_of_segments_are_replayed(segments, tmp_path):
     lengths = [1, 0.5, 0.7, 0.2][:segments]
-    given = {"segment_lengths": lengths, "success_distance": 3.0}
-    benchmark(["random"], tmp_path, ["random"], 2, jobs=1, env_kwargs=given)
+    arguments = {"segment_lengths": lengths, "success_distance": 3.0}
+    benchmark(["random"], tmp_path, ["random"], 2, jobs=1, env_kwargs=arguments)
     data = replay(read_results(tmp_path, 20))
     movement = data["scenes"]["random"][0]["agents"]["random"]
     assert movement["lengths"] == lengths and len(movement["angles"]) == segments
@@ -116,7 +116,7 @@ def test_the_replay_shows_cursors_and_arms_that_lead_to_the_hand(results):
     paths["cursor_x"], paths["cursor_y"] = paths["target_x"], paths["target_y"] - 0.02
     changed = replace(results)
     changed.__dict__["paths"] = paths
-    (scene,) = [one for one in replay(changed)["scenes"]["random"] if one["instance"] == 1]
+    (scene,) = [scene for scene in replay(changed)["scenes"]["random"] if scene["instance"] == 1]
     movement = scene["agents"]["mmc"]
     np.testing.assert_allclose(movement["lengths"], [1, 1, 1.5], atol=0.01)
     assert sum(movement["distance"]) / 10_000 == pytest.approx(0.02)

@@ -30,8 +30,8 @@ def policies(*sources, steps=None):
     known = [(source, resolve(source)) for source in sources]
     facts = {"training_seed": None, "training_steps": steps}
     return [
-        Policy(source=source, name=one.name, knowledge=one.knowledge, **facts)
-        for source, one in known
+        Policy(source=source, name=agent.name, knowledge=agent.knowledge, **facts)
+        for source, agent in known
     ]
 
 
@@ -46,9 +46,10 @@ def policies(*sources, steps=None):
     ],
 )
 def test_the_kind_of_an_agent_follows_from_its_sources(sources, name, kind, lengths):
-    one = identify(policies(*sources))
-    assert (one.name, one.knowledge.kind, one.knowledge.lengths) == (name, kind, lengths)
-    assert [card.file_stem for card in one.cards] == (sources if name == "ppo" else [])
+    identity = identify(policies(*sources))
+    assert (identity.name, identity.knowledge.kind) == (name, kind)
+    assert identity.knowledge.lengths == lengths
+    assert [card.file_stem for card in identity.cards] == (sources if name == "ppo" else [])
 
 
 @pytest.mark.parametrize(
@@ -68,13 +69,13 @@ def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
     network, card = load_policy(PRETRAINED / "ppo-0.json")
     save_policy(network, replace(card, name="mine"), tmp_path)
     path = tmp_path / "mine-0.json"
-    one = identify(policies(str(path)))
-    assert (one.name, one.knowledge.kind) == ("", "yours")
-    assert one.knowledge.lengths.startswith("not given")
-    assert one.knowledge.senses.startswith("posture, joint speeds")
-    assert len(one.cards) == 1
+    identity = identify(policies(str(path)))
+    assert (identity.name, identity.knowledge.kind) == ("", "yours")
+    assert identity.knowledge.lengths.startswith("not given")
+    assert identity.knowledge.senses.startswith("posture, joint speeds")
+    assert len(identity.cards) == 1
     path.unlink()  # what it was is in the store
-    assert (one.knowledge.kind, one.cards) == ("yours", ())
+    assert (identity.knowledge.kind, identity.cards) == ("yours", ())
 
 
 def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, movers, tmp_path):

@@ -21,7 +21,8 @@ def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
     assert [row.name for row in table.rows if row.look == "focus"] == list(results.focus)
     assert "success over 7 scenarios, each weighing the same" in table.caption
     assert "Trainings: ppo 2, ppo-smooth 2;" in table.caption
-    assert f"settled for longer than {results.focus[0]}" in [one.label for one in table.headings]
+    labels = [heading.label for heading in table.headings]
+    assert f"settled for longer than {results.focus[0]}" in labels
 
 
 def test_each_scenario_has_the_difference_to_every_other_agent_on_the_same_episodes(results):
@@ -51,10 +52,10 @@ def test_where_it_fails_is_counted_and_replayed_first(results):
     failed, links, possible, distance = rows[f"{agent} in rotation-15"]
     assert failed.text == f"{len(mine)} of 14" and possible.text == f"{len(mine)} of {len(mine)}"
     assert distance.text == f"{mine['final_distance'].median():.3f}"
-    expected = sorted(one + 1 for one in mine["instance"] if one < 12)[:6]
+    expected = sorted(instance + 1 for instance in mine["instance"] if instance < 12)[:6]
     assert list(links.links) == [("rotation-15", number) for number in expected]
     scenes = replay(results)["scenes"]
-    assert [one["instance"] for one in scenes["rotation-15"]][: len(expected)] == expected
+    assert [scene["instance"] for scene in scenes["rotation-15"]][: len(expected)] == expected
     assert scenes["rotation-15"][0]["failed"] == [agent]
     assert list(scenes)[:2] == ["rotation-15", "rotation-60"]  # where it fails most often
     assert f"{agent} in random" not in rows
@@ -73,13 +74,13 @@ def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
     # mmc hardly ever arrives there: it wins no race.
     race = {name: cells[numbers["time to target"]] for name, cells in by_agent.items()}
     assert not race["mmc"].best
-    assert any(one.best for one in race.values())
+    assert any(cell.best for cell in race.values())
 
 
 def race(results, name, values):
     """Return each agent's cell of one measure in `rotation-15`, of these values."""
     episodes = results.episodes.assign(**{name: values})
-    measures = tuple(one for one in results.measures if one.name == name)
+    measures = tuple(measure for measure in results.measures if measure.name == name)
     changed = replace(results, episodes=episodes, measures=measures)
     return {row.name: row.cells[0] for row in tables.score_table(changed, "rotation-15").rows}
 
@@ -100,8 +101,8 @@ def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store
     results = read_results(tmp_path, 50, ["mmc"])
     cells = [cell for row in tables.scenario_table(results, "mmc").rows for cell in row.cells]
     cells += [cell for row in tables.ranking_table(results).rows for cell in row.cells]
-    assert not any("[" in note for one in cells for note in one.notes)
-    assert not {"better", "worse"} & {one.look for one in cells}
+    assert not any("[" in note for cell in cells for note in cell.notes)
+    assert not {"better", "worse"} & {cell.look for cell in cells}
     text = write_report(tmp_path, tmp_path / "report.html", 50, focus=["mmc"]).read_text()
     assert "in 50.0 % of its episodes, rank 1 of 3." in text and "nan" not in str(cells)
 
