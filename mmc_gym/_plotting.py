@@ -35,6 +35,7 @@ STYLE: Any = {
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "mmc-gym",  # the same figure gives the same file
 }
+PLAIN_STYLE: Any = {**STYLE, "text.parse_math": False}  # for names of agents, which users choose
 
 
 class PlottedMovement(NamedTuple):
@@ -47,13 +48,19 @@ class PlottedMovement(NamedTuple):
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write `figure` as `stem`.png and `stem`.svg."""
-    written = []
-    for suffix, metadata in ((".png", {}), (".svg", {"Date": None})):
-        buffer = io.BytesIO()
-        with rc_context(STYLE):
-            figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=metadata)
-        written.append(write_atomically(stem.with_suffix(suffix), buffer.getvalue()))
-    return written
+    return [
+        write_atomically(stem.with_suffix(f".{format}"), draw_file(figure, format))
+        for format in ("png", "svg")
+    ]
+
+
+def draw_file(figure: Figure, format: str, dpi: float = 150, style: Any = STYLE) -> bytes:
+    """Return the content of a figure's file, the same for the same figure."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if format == "svg" else {}
+    with rc_context(style):
+        figure.savefig(buffer, format=format, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
 
 
 class ShownFigure(Figure):
@@ -64,10 +71,7 @@ class ShownFigure(Figure):
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:
-        picture = io.BytesIO()
-        with rc_context(STYLE):
-            self.savefig(picture, format="png", dpi=100)
-        return picture.getvalue()
+        return draw_file(self, "png", dpi=100)
 
 
 def paths_and_profiles(

@@ -7,7 +7,6 @@ self-contained, and every number in it is computed from the store.
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from itertools import chain
@@ -161,14 +160,10 @@ def _learning_curves(results: Results) -> str | None:
 
 def _picture(figure: Figure) -> str:
     """Return a figure as a data URL of its SVG."""
-    from matplotlib import rc_context
+    from mmc_gym._plotting import PLAIN_STYLE, draw_file  # takes long
 
-    from mmc_gym._plotting import STYLE
-
-    buffer = io.BytesIO()
-    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    content = base64.b64encode(draw_file(figure, "svg", style=PLAIN_STYLE))
+    return f"data:image/svg+xml;base64,{content.decode()}"
 
 
 # The data of the replay: a few movements, as compact JSON, failures of agents in focus first.

@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter, PercentFormatter
 
 from mmc_gym._errors import UserError, require
-from mmc_gym._plotting import LINES, STYLE
+from mmc_gym._plotting import LINES, PLAIN_STYLE
 from mmc_gym._tables import count
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
@@ -98,7 +98,7 @@ _MARKERS = "osD^vPX<*"
 
 def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame) -> Figure:
     """Draw `mean_curves` against environment steps, left, and against minutes, right."""
-    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+    with rc_context(PLAIN_STYLE):
         figure = Figure(figsize=(8.6, 5.2), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         _draw_curves(left, against_steps, against_steps["steps"])
@@ -162,7 +162,7 @@ def draw_generalisation(results: Results) -> Figure | None:
     if not panels:
         return None
     rows = math.ceil(len(panels) / 4)
-    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+    with rc_context(PLAIN_STYLE):
         figure = Figure(figsize=(8.6, 1.9 * rows + 0.8), layout="constrained")
         grid = figure.subplots(rows, 4, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
