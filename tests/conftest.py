@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from types import SimpleNamespace
+from typing import get_args
 
 # Before any library is imported.
 # One thread a worker: the tests run in parallel already, and sums keep their order.
@@ -27,6 +28,7 @@ from filelock import FileLock  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
+from mmc_gym.body import Engine  # noqa: E402
 from mmc_gym.envs.names import TASKS  # noqa: E402
 from mmc_gym.envs.perturbations import FAMILIES  # noqa: E402
 from mmc_gym.measures import MEASURES, Episode  # noqa: E402
@@ -71,6 +73,11 @@ def env():
     env = gym.make("MMCReach-v0")
     yield env
     env.close()
+
+
+@pytest.fixture(scope="session", params=get_args(Engine))
+def engine(request):
+    return request.param
 
 
 @pytest.fixture(scope="session")

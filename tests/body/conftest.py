@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from mmc_gym.body import ArmParameters, Engine, Servo
+from mmc_gym.body import ArmParameters, Servo
 
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
 FIELD = ((-1.0, 5.0), (-5.0, -1.0))
@@ -35,11 +35,6 @@ CASES |= {f"analytic: {name}": ("analytic", parameters) for name, parameters in 
 
 @pytest.fixture(scope="session", params=get_args(Servo))
 def servo(request):
-    return request.param
-
-
-@pytest.fixture(scope="session", params=get_args(Engine))
-def engine(request):
     return request.param
 
 

@@ -8,18 +8,17 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from gymnasium.error import ResetNeeded
-from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
 import mmc_gym
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface, relative_speeds
+from tests.envs.conftest import LIMITS, random_actions, same
 
 EXTREME = (1e308, 1e9, 1e-9, 1e-320, -1e308, -0.0, math.inf, math.nan)
 SHAPES = {
@@ -31,9 +30,6 @@ SHAPES = {
 NUMBERS = ["control_weight", "precision_weight", "smoothness_weight", "success_distance"]
 NUMBERS += [one.name for one in fields(ArmParameters) if one.type == "float"] + [*SHAPES]
 STRENGTHS = [(name, "strength") for name in FAMILIES] + [("gain", "at"), ("gain", "over")]
-every_engine = pytest.mark.parametrize("engine", ["pymunk", "analytic"])
-same = partial(data_equivalence, exact=True)
-LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
 
 
 def hand_of(joint_angles, lengths=(1.0,) * 3):
@@ -46,9 +42,8 @@ def joint_angles(observation):
 
 def future(env, seed):
     """What some rough steps return, and what the next episodes start from."""
-    actions = np.random.default_rng(seed).uniform(-1, 1, (20, 3)).astype(np.float32).repeat(2, 0)
-    record = [env.step(action) for action in actions]
-    return [*record, env.reset(), env.step(actions[0]), env.np_random.random()]
+    actions = random_actions(env, 40, seed, hold=2)
+    return [*map(env.step, actions), env.reset(), env.step(actions[0]), env.reset()]
 
 
 @pytest.mark.parametrize("target", [(0.0, 0.0), (3 * math.cos(1.0), 3 * math.sin(1.0))])
@@ -159,7 +154,7 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
     for env in (moved, other):
         env.reset(seed=0)
     moved.set_target(np.array([1.0, -2.0]))
-    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32):
+    for action in random_actions(other, 20):
         observation, _, _, _, info = moved.step(action)
         *_, same_arm = other.step(action)
         assert info["target"].tolist() == [1.0, -2.0]
@@ -170,49 +165,49 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
     assert same(moved.reset(), other.reset())
 
 
+LONG = partial(MMCReachEnv, segment_lengths=(3.0, 1.0, 0.5))
+PAPER = partial(MMCReachEnv, task="paper")
+FIVE = partial(MMCReachVectorEnv, 5)
+NOT_A_NUMBER = np.where(np.arange(5) == 3, np.nan, 0)[:, None] * np.ones(3)
+
+
 @pytest.mark.parametrize(
-    ("method", "given", "message"),
+    ("make", "call", "message"),
     [
-        ("step", [0.0, math.nan, 0.0], "action must lie within -1 and 1"),
-        ("step", [0.0, 0.0], "action must have shape"),
-        ("step", "abc", "action must be numbers"),
-        ("reset", {"goal": (0, 0)}, "'goal' is not accepted"),
-        ("reset", {"target": "there"}, r"options\['target'\] must be 2 finite"),
-        ("reset", {"joint_angles": (0, 0)}, r"options\['joint_angles'\] must be 3 finite"),
-        ("reset", {"joint_angles": (0, 0, 0), "target": (9, 9)}, r"options\['target'\]"),
-        ("set_target", (1.0, 0.0), r"between 1\.5 and 4\.5 from the base"),
+        (LONG, lambda env: env.step([0.0, math.nan, 0.0]), "action must lie within -1 and 1"),
+        (LONG, lambda env: env.step([0.0, 0.0]), "action must have shape"),
+        (LONG, lambda env: env.step("abc"), "action must be numbers"),
+        (LONG, lambda env: env.set_target((1.0, 0.0)), r"between 1\.5 and 4\.5 from the base"),
+        (FIVE, lambda env: env.step(np.zeros((5, 2))), "actions must have shape"),
+        (FIVE, lambda env: env.step(NOT_A_NUMBER), "within -1 and 1.*arm 3"),
+        (FIVE, lambda env: env.step(torch.zeros(5, 3, requires_grad=True)), "detach"),
+        (FIVE, lambda env: env.reset(seed=[1, 2]), "seed must be .*5 of them"),
+        *(
+            (make, lambda env, options=options: env.reset(seed=7, options=options), message)
+            for make, options, message in [
+                (LONG, {"goal": (0, 0)}, "'goal' is not accepted"),
+                (LONG, {"target": "there"}, r"options\['target'\] must be 2 finite"),
+                (LONG, {"joint_angles": (0, 0)}, r"options\['joint_angles'\] must be 3 finite"),
+                (LONG, {"joint_angles": (0, 0, 0), "target": (9, 9)}, r"options\['target'\]"),
+                (MMCReachEnv, {"trial": 0}, r"options\['trial'\] must"),
+                (PAPER, {"trial": 420}, r"options\['trial'\] must"),
+                (PAPER, {"trial": 1.5}, r"options\['trial'\] must"),
+                (FIVE, {"reset_mask": np.ones(5)}, "reset_mask.*5 bools"),
+                (FIVE, {"goal": 0}, "options 'goal'"),
+                (FIVE, 5, "options must be a mapping.*got 5"),
+            ]
+        ),
     ],
 )
-def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
-    tried, untried = (MMCReachEnv(segment_lengths=(3.0, 1.0, 0.5)) for _ in range(2))
+def test_bad_input_is_refused_and_leaves_no_trace(make, call, message):
+    tried, untried = make(), make()
     for env in (tried, untried):
         env.reset(seed=0)
         future(env, seed=1)
-        env.step(np.array([0.5, -0.5, 0.9], np.float32))  # in full swing
-    with pytest.raises(ValueError, match=message):
-        tried.reset(seed=7, options=given) if method == "reset" else getattr(tried, method)(given)
+        env.step(np.full(env.action_space.shape, 0.7, np.float32))  # in full swing
+    with pytest.raises((ValueError, RuntimeError), match=message):
+        call(tried)
     assert same(future(tried, seed=2), future(untried, seed=2))
-    assert tried.np_random.bit_generator.state == untried.np_random.bit_generator.state
-
-
-@pytest.mark.parametrize(
-    ("make", "arguments", "message"),
-    [
-        (MMCReachEnv, {"control": "torque"}, "control 'torque' .*; did you mean 'joint_torque'"),
-        (MMCReachEnv, {"reward_type": "golden"}, "reward_type 'golden'"),
-        (MMCReachEnv, {"render_mode": "ansi"}, "render_mode 'ansi'"),
-        (MMCReachEnv, {"width": 0}, "width must be a whole number of at least 1, got 0"),
-        (MMCReachEnv, {"control_weight": "a"}, "control_weight must be from 0"),
-        (MMCReachEnv, {"n_segments": 4}, "unexpected keyword argument 'n_segments'"),
-        (MMCReachGoalEnv, {"control_weight": 0.1}, "control_weight must be 0"),
-        (MMCReachGoalEnv, {"smoothness_weight": 0.1}, "smoothness_weight must be 0"),
-        (MMCReachGoalEnv, {"perturbations": "joint-noise"}, "no noise, no delay and no via"),
-        (MMCReachGoalEnv, {"task": "via-points"}, "no noise, no delay and no via points"),
-    ],
-)
-def test_what_an_environment_cannot_be_is_refused(make, arguments, message):
-    with pytest.raises(UserError, match=message):
-        make(**arguments)
 
 
 def with_number(name, value):
@@ -223,7 +218,6 @@ def with_number(name, value):
     return {"perturbations": [FAMILIES[family](**{field: value})]}
 
 
-@every_engine
 @pytest.mark.parametrize("name", [*NUMBERS, *STRENGTHS], ids=str)
 def test_extreme_numbers_are_refused_or_leave_everything_finite(engine, name):
     for value, control in product(EXTREME, ("joint_delta", "joint_torque")):
@@ -242,36 +236,6 @@ def test_extreme_numbers_are_refused_or_leave_everything_finite(engine, name):
             assert np.isfinite([*observation, reward]).all(), (value, control)
 
 
-@pytest.mark.parametrize(
-    "arm",
-    [
-        {"segment_lengths": (1e-9, 1.0, 1.0)},
-        {"segment_lengths": (1.0, 1.0, 1e9), "segment_masses": (1.0, 1e-9, 1e-9)},
-    ],
-)
-def test_the_analytic_engine_refuses_joints_that_it_cannot_tell_apart(arm):
-    arm = {**arm, "engine": "analytic"}
-    with pytest.raises(UserError, match=r"drive_inertia must be larger .*, got 0\.0"):
-        MMCReachEnv(**arm, drive_inertia=0.0)
-    assert MMCReachEnv(**arm).reset(seed=0)
-
-
-@pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
-def test_a_step_before_the_reset_is_refused(make):
-    env = make()
-    with pytest.raises(ResetNeeded, match=r"call reset\(\) before step"):
-        env.step(np.zeros(3, np.float32))
-    env.reset(seed=0)
-    env.step(np.zeros(3, np.float32))
-
-
-@every_engine
-def test_an_arm_that_substeps_cannot_hold_together_is_refused_by_every_engine(engine):
-    with pytest.raises(UserError, match="segment_masses and hand_mass must make an arm"):
-        mmc_gym.make("hand-mass-1000+gravity-60", engine=engine)
-
-
-@every_engine
 @pytest.mark.parametrize("make", [MMCReachEnv, partial(MMCReachVectorEnv, 2)])
 def test_a_movement_out_of_control_raises_an_error_and_a_reset_mends_it(engine, make):
     env = make(engine=engine, control="joint_velocity", drive_inertia=0.0, gravity=(0.0, -1e6))
@@ -303,10 +267,7 @@ def test_torchrl_registers_the_infos():
 
 @pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
 def test_success_ends_an_episode_if_asked_to_and_changes_nothing_before(make):
-    plain, ending = (
-        make(success_distance=0.5),
-        make(success_distance=0.5, terminate_on_success=True),
-    )
+    plain, ending = (make(success_distance=0.5, terminate_on_success=b) for b in (False, True))
     posture = {"joint_angles": [0.0, 0.5, 0.5]}
     assert same(plain.reset(seed=3, options=posture), ending.reset(seed=3, options=posture))
     action, ends = np.array([1.0, 0.1, -0.1], np.float32), []

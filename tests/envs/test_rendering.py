@@ -12,7 +12,7 @@ import pygame
 import pytest
 from gymnasium.wrappers.vector import RecordVideo
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.envs import render as drawing
 from mmc_gym.envs.arguments import ReachArguments
 from mmc_gym.envs.perturbations import FAMILIES
@@ -33,6 +33,10 @@ def no_display_before_or_after():
 
 POSTURE = [0.5, 1.0, 1.5]  # absolute angles
 NODES = np.cumsum([(0.0, 0.0), *((math.cos(a), math.sin(a)) for a in POSTURE)], axis=0)
+
+
+def make(mode="rgb_array", **arguments):
+    return gym.make("MMCReach-v0", render_mode=mode, **arguments)
 
 
 def setup_of(**arguments):
@@ -58,21 +62,20 @@ def differ(one, other, point, size=5):
 
 @pytest.mark.parametrize(("width", "height"), [(320, 320), (480, 240), (100, 300)])
 def test_pictures_have_the_width_and_height_that_are_asked_for(width, height):
-    made = {"render_mode": "rgb_array", "width": width, "height": height}
-    env = gym.make("MMCReach-v0", **made)
+    env, side = make(width=width, height=height), min(width, height)
     env.reset(seed=0)
-    frame, side = env.render(), min(width, height)
+    frame = env.render()
     assert frame.shape == (height, width, 3)
     top, left = (height - side) // 2, (width - side) // 2
     world = frame[top : top + side, left : left + side]
-    square = gym.make("MMCReach-v0", **{**made, "width": side, "height": side})
+    square = make(width=side, height=side)
     square.reset(seed=0)
     np.testing.assert_array_equal(world, square.render())
     assert (np.delete(frame, np.s_[top : top + side], 0) == drawing.BACKGROUND).all()
 
 
 def test_pictures_are_new_arrays_and_need_a_mode_but_no_display():
-    env, unseen = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("rgb_array", None))
+    env, unseen = make(), make(None)
     env.reset(seed=0)
     frame = env.render()
     kept = frame.copy()
@@ -106,7 +109,7 @@ def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_succe
 
 def test_the_trace_is_the_hands_path_whatever_frames_are_drawn():
     """It fades within a second, and a reset clears it."""
-    often, once, resting = (gym.make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
+    often, once, resting = make(), make(), make()
     reset = {"seed": 0, "options": {"joint_angles": [0.5, 0.5, 0.5], "target": FAR}}
     start, darkness = tuple(NODES[-1]), []
     for env in (often, once, resting):
@@ -123,14 +126,14 @@ def test_the_trace_is_the_hands_path_whatever_frames_are_drawn():
 
 @pytest.mark.parametrize("lengths", [(1.0,), (2.0, 0.5), (30.0,) * 8])
 def test_arms_of_any_segments_fill_the_same_picture(lengths):
-    env = gym.make("MMCReach-v0", render_mode="rgb_array", segment_lengths=lengths)
+    env = make(segment_lengths=lengths)
     env.reset(seed=0, options={"joint_angles": [0.0] * len(lengths)})
     x, y = map(round, View(sum(lengths)).pixel((sum(lengths) * 0.9, 0.0)))
     assert env.render()[y, x].tolist() == list(drawing.ROD)
 
 
 def test_an_environment_shows_the_posture_it_is_given():
-    env = gym.make("MMCReach-v0", render_mode="rgb_array").unwrapped
+    env = make().unwrapped
     env.reset(seed=0, options={"joint_angles": [0.0] * 3, "target": FAR})
     plain = env.render()
     env.show_posture([0.5, 0.5, 0.5])
@@ -225,21 +228,21 @@ def test_what_is_drawn_as_sensed_is_what_the_agent_observes(monkeypatch):
 def test_a_window_shows_every_step_at_the_control_rate(monkeypatch):
     clock = Mock()
     monkeypatch.setattr(pygame.time, "Clock", lambda: clock)
-    env, array = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("human", "rgb_array"))
-    for one in (env, array):
-        one.reset(seed=0)
+    env, array = make("human"), make()
+    for shown in (env, array):
+        shown.reset(seed=0)
         for _ in range(3):
-            one.step(np.zeros(3, np.float32))
+            shown.step(np.zeros(3, np.float32))
     assert clock.tick.call_args_list == [call(50)] * 4
-    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    np.testing.assert_array_equal(shown, array.render())
+    window = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    np.testing.assert_array_equal(window, array.render())
     env.close()
     env.close()
     assert not pygame.display.get_init()
 
 
 def test_an_environment_outlives_the_window_that_its_user_closes():
-    env = gym.make("MMCReach-v0", render_mode="human").unwrapped
+    env = make("human").unwrapped
     env.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     with pytest.warns(UserWarning, match="window was closed"):
@@ -276,31 +279,4 @@ def test_a_window_that_sdl_refuses_is_explained(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "nowhere")
     message = "a window needs a display, and there is none: nowhere not available.*mmc-gym record"
     with pytest.raises(UserError, match=message):
-        gym.make("MMCReach-v0", render_mode="human").reset(seed=0)
-
-
-@pytest.mark.parametrize("perturbations", [["longer--30..35", "rotation--60..60"], "joint-noise"])
-def test_a_vector_draws_what_its_arms_would_draw(perturbations):
-    made = {"perturbations": perturbations, "max_episode_steps": 4, "render_mode": "rgb_array"}
-    made |= {"num_envs": 3, "width": 96, "height": 96}
-    native = gym.make_vec("MMCReachViaPoints-v0", **made)
-    sync = gym.make_vec("MMCReachViaPoints-v0", vectorization_mode="sync", **made)
-    for envs in (native, sync):
-        envs.reset(seed=3)
-    for action in np.random.default_rng(0).uniform(-1, 1, (7, 3, 3)).astype(np.float32):
-        np.testing.assert_array_equal(native.render(), sync.render())
-        native.step(action)
-        sync.step(action)
-
-
-@pytest.mark.slow
-def test_gymnasium_films_a_native_vector(tmp_path):
-    envs = gym.make_vec("MMCReach-v0", num_envs=4, render_mode="rgb_array", max_episode_steps=10)
-    films = RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda episode: episode == 0)
-    films.reset(seed=0)
-    for _ in range(12):
-        films.step(films.action_space.sample())
-    films.close()
-    assert [path.suffix for path in tmp_path.glob("films/*") if path.stat().st_size > 1000] == [
-        ".mp4"
-    ]
+        make("human").reset(seed=0)

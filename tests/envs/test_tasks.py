@@ -6,27 +6,20 @@ from functools import partial
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import data_equivalence
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.names import TASKS
-from mmc_gym.envs.perturbations import (
-    JointNoise,
-    LockedJoint,
-    SegmentLength,
-    SensoryDelay,
-    VisuomotorRotation,
-)
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.tasks import DoubleStep, PointToPoint, Pursuit, RandomTarget, Trial, ViaPoints
+from mmc_gym.envs.tasks import DoubleStep, RandomTarget, Trial
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.envs.workspace import Workspace
-from mmc_gym.geometry import reachable_radii, segments_from_joint_angles
+from mmc_gym.geometry import reachable_radii, segments_from_joint_angles, wrap_angle
 from mmc_gym.measures import run_episodes
 from studies.paper.protocol import PAIRS, TARGETS
 
@@ -56,47 +49,11 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
     assert len(movements) == 420
 
 
-def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
-    misspelt = type("Misspelt", (RandomTarget,), {"drawn": RandomTarget.draw})()
-    for task, arguments, message in (
-        ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture"),
-        # The cursor leaves the reach.
-        (
-            "paper",
-            {"perturbations": VisuomotorRotation(30.0, centre=(0.0, 1.5))},
-            "where trial .* starts",
-        ),
-        ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
-        ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
-        ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
-        (misspelt, {}, r"a method of Misspelt must be draw\(self, request\), got 'drawn'"),
-        ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
-    ):
-        with pytest.raises(UserError, match=message):
-            MMCReachEnv(task=task, **arguments)
-
-
 class Mine(RandomTarget):
     """The trials are what `drawn` returns."""
 
     def __init__(self, drawn):
         object.__setattr__(self, "draw", drawn)
-
-
-@pytest.mark.parametrize("make", [MMCReachEnv, MMCReachVectorEnv])
-@pytest.mark.parametrize(
-    ("drawn", "message"),
-    [
-        (lambda _: None, "what Mine.draw returns must be a Trial"),
-        (lambda _: Trial([0, 0], [(1, 1)]), "joint_angles of Mine.draw must be 3 finite numbers"),
-        (lambda _: Trial([0, 0, 0], (1.0, 1.0)), "targets of Mine.draw must be a path, one or mo"),
-        # Only some trials are wrong.
-        (lambda one: Trial([0, 0, 0], [(0, 5 * one.random.random())]), "0 to 3 from the base"),
-    ],
-)
-def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(make, drawn, message):
-    with pytest.raises(UserError, match=message):
-        make(task=Mine(drawn))
 
 
 @pytest.mark.parametrize("make", [MMCReachEnv, partial(MMCReachVectorEnv, 1)])
@@ -119,9 +76,8 @@ def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far():
     np.testing.assert_allclose(starts, [(0.0, 1.5)] * 8, atol=1e-9)
     ways = np.array([info["target"] for info in infos]) - (0.0, 1.5)
     np.testing.assert_allclose(np.linalg.norm(ways, axis=-1), 0.6)
-    np.testing.assert_allclose(
-        np.arctan2(ways[:, 1], ways[:, 0]) % math.tau, np.arange(8) * math.pi / 4, atol=1e-9
-    )
+    angles = np.arctan2(ways[:, 1], ways[:, 0]) % math.tau
+    np.testing.assert_allclose(angles, np.arange(8) * math.pi / 4, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -182,53 +138,6 @@ def test_posture_and_target_can_be_set_in_every_task(name):
     assert (targets == (1.0, 0.5)).all()
 
 
-@pytest.mark.parametrize(("task", "trial"), [("random", 0), ("paper", 420), ("paper", 1.5)])
-def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
-    env, twin = MMCReachEnv(task=task), MMCReachEnv(task=task)
-    for one in (env, twin):
-        one.reset(seed=1)
-        one.step(NO_ACTION)
-    with pytest.raises(ValueError, match=r"options\['trial'\] must"):
-        env.reset(seed=2, options={"trial": trial})
-    for act in (lambda one: one.step(NO_ACTION), lambda one: one.reset()):
-        assert data_equivalence(act(env), act(twin), exact=True)
-
-
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        (DoubleStep, {"delay": -0.1}),
-        (ViaPoints, {"count": 0}),
-        (Pursuit, {"multiples_x": (2.5,)}),
-        (Pursuit, {"period": 0.0}),
-        (PointToPoint, {"points": ((0,), (1,)), "pairs": ((0, 1),)}),
-        (PointToPoint, {"pairs": ((0, 1),), "points": ((0.5, 0.0),)}),
-    ],
-)
-def test_values_that_make_no_sense_are_refused(kind, values):
-    with pytest.raises(UserError, match=f"^{next(iter(values))} must be"):
-        kind(**values)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
-        (lambda: LockedJoint(1, time=-0.1), "at must be from 0 to 1000"),
-        (lambda: SensoryDelay(math.inf), "strength must be a finite number, got inf"),
-        (lambda: JointNoise(math.nan), "strength of joint-noise must be from 0 to 1e.09, got nan"),
-        (lambda: VisuomotorRotation(30.0, centre=(0.0, math.inf)), "centre must be two finite"),
-        (
-            lambda: VisuomotorRotation(30.0, center=(0.0, 1.0)),
-            "unexpected keyword argument 'center'",
-        ),
-    ],
-)
-def test_perturbations_that_make_no_sense_are_refused(make, message):
-    with pytest.raises(UserError, match=message):
-        MMCReachEnv(perturbations=make())
-
-
 def workspace(lengths):
     return Workspace(ArmParameters(segment_lengths=tuple(lengths)))
 
@@ -272,10 +181,8 @@ def within_limits(points, tolerance=1e-9):
     reachable = np.zeros(cosine.shape, dtype=bool)
     for side in (1, -1):
         elbow = side * np.arccos(np.clip(cosine, -1, 1))
-        shoulder = np.arctan2(y, x) - np.arctan2(
-            second * np.sin(elbow), first + second * np.cos(elbow)
-        )
-        shoulder = np.remainder(shoulder + math.pi, math.tau) - math.pi
+        bend = np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
+        shoulder = wrap_angle(np.arctan2(y, x) - bend)
         good = np.abs(cosine) <= 1 + tolerance
         for angle, (low, high) in zip((shoulder, elbow), TWO_LIMITS, strict=True):
             good &= (low - tolerance <= angle) & (angle <= high + tolerance)
