@@ -49,47 +49,32 @@ def parameters(request):
     return request.param
 
 
-def _scale(parameters, servo):
+def largest_command(parameters, servo):
+    """Return the largest command that makes sense."""
     limits = {"position": math.pi, "velocity": parameters.speed_limit}
     return limits.get(servo, parameters.torque_limit)
 
 
-@pytest.fixture(scope="session")
-def scale():
-    """The largest command that makes sense."""
-    return _scale
+def draw_postures(parameters, random, count):
+    """Draw postures that an arm may have, (count, N)."""
+    any_angle = ((-math.pi, math.pi),) * len(parameters.segment_lengths)
+    low, high = np.transpose(parameters.joint_limits or any_angle)
+    return random.uniform(low, high, (count, len(low)))
 
 
-@pytest.fixture(scope="session")
-def postures():
-    """Draws random postures that an arm may have, (count, N)."""
-
-    def draw(parameters, random, count):
-        any_angle = ((-math.pi, math.pi),) * len(parameters.segment_lengths)
-        low, high = np.transpose(parameters.joint_limits or any_angle)
-        return random.uniform(low, high, (count, len(low)))
-
-    return draw
-
-
-@pytest.fixture(scope="session")
-def play():
-    """Steps an arm under rough commands, each held for some steps; joints are locked half way.
+def play(arm, servo, seed, steps=40):
+    """Step an arm under rough commands, each held for some steps; joints are locked half way.
 
     Returns everything that can be read after each step.
     """
-
-    def states(arm, servo, seed, steps=40):
-        random, seen = np.random.default_rng(seed), []
-        largest = _scale(arm.parameters, servo)
-        for step in range(steps):
-            if step == steps // 2:
-                arm.lock()
-            if random.random() < 0.3:
-                arm.command((largest * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
-            arm.step()
-            angles = *arm.segment_angles, *arm.joint_angles
-            seen.append((*angles, *arm.joint_velocities, *arm.end_effector))
-        return seen
-
+    random, states = np.random.default_rng(seed), []
+    largest = largest_command(arm.parameters, servo)
+    for step in range(steps):
+        if step == steps // 2:
+            arm.lock()
+        if random.random() < 0.3:
+            arm.command((largest * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
+        arm.step()
+        angles = *arm.segment_angles, *arm.joint_angles
+        states.append((*angles, *arm.joint_velocities, *arm.end_effector))
     return states

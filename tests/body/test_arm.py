@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.body import ArmParameters, make_arm
+from tests.body.conftest import draw_postures, largest_command, play
 
 
 @pytest.mark.parametrize(
@@ -77,13 +78,13 @@ def drive(arm, values, steps):
     return np.array(angles)
 
 
-def test_a_reset_arm_has_the_future_of_a_new_one(case, servo, play, postures):
+def test_a_reset_arm_has_the_future_of_a_new_one(case, servo):
     random = np.random.default_rng(5)
     used = make_arm(*case, servo)
     used.records_effort = True  # which changes no movement
     for episode in range(2):
         play(used, servo, seed=episode)
-        posture = postures(case[1], random, 1)[0].tolist()
+        posture = draw_postures(case[1], random, 1)[0].tolist()
         speeds = random.uniform(-3, 3, len(posture)).tolist()
         used.reset(posture, speeds)
         new = make_arm(*case, servo)
@@ -112,14 +113,14 @@ def test_reset_places_any_chain_exactly(engine, lengths, seed):
     np.testing.assert_allclose(arm.end_effector, hand, atol=1e-12)
 
 
-def test_a_copy_has_the_same_future(case, servo, play, postures, scale):
+def test_a_copy_has_the_same_future(case, servo):
     random, arm = np.random.default_rng(0), make_arm(*case, servo)
     count, arm.records_effort = len(arm.joint_angles), True
     play(arm, servo, seed=0)
     for steps in (0, 25):
-        arm.reset(postures(case[1], random, 1)[0].tolist(), random.uniform(-3, 3, count).tolist())
+        arm.reset(draw_postures(case[1], random, 1)[0], random.uniform(-3, 3, count))
         play(arm, servo, seed=1, steps=steps)
-        command = scale(case[1], servo) * random.uniform(-1, 1, count)
+        command = largest_command(case[1], servo) * random.uniform(-1, 1, count)
         arm.command(command)
         command[:] = np.nan  # the array is the caller's
         copied = copy.deepcopy(pickle.loads(pickle.dumps(arm)))
@@ -177,14 +178,14 @@ def test_position_servos_hold_the_arm_against_gravity(engine):
         assert np.divide(arm.servo_impulses, 0.02) == pytest.approx(torques, rel=0.03)
 
 
-def test_joint_limits_are_held(engine, servo, scale):
+def test_joint_limits_are_held(engine, servo):
     limits = ((-1.0, 1.5), (-0.5, 2.0), (0.1, 0.9))
     arm = arm_of(engine, servo, joint_limits=limits, gravity=(0.0, -9.81))
     arm.reset([0.0, 1.0, 0.5])
     low, high = np.transpose(limits)
     gives = 0.15 if servo == "torque" else 0.08  # a stop gives way to a blow
     for shares in np.random.default_rng(0).uniform(-1, 1, (100, 3)):
-        arm.command((scale(arm.parameters, servo) * shares).tolist())
+        arm.command((largest_command(arm.parameters, servo) * shares).tolist())
         for _ in range(5):
             arm.step()
             assert ((low - gives < arm.joint_angles) & (arm.joint_angles < high + gives)).all()
@@ -199,14 +200,14 @@ def test_a_joint_with_limits_never_turns_through_the_forbidden_arc(engine):
 
 
 @pytest.mark.parametrize(("engine", "slip"), [("pymunk", 0.01), ("analytic", 1e-12)])
-def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play, scale):
+def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo):
     arm, free = (arm_of(engine, servo, lockable_joints=(1,)) for _ in range(2))
     arm.reset([0.1, 0.7, -0.4])
     arm.lock()
     states = np.array(play(arm, servo, seed=3, steps=100))
     assert np.abs(states[:, 4] - 0.7).max() < slip
     assert np.ptp(states[:, 3]) > 0.3
-    largest = scale(arm.parameters, servo)
+    largest = largest_command(arm.parameters, servo)
     for each in (arm, free):
         each.reset([0.1, 0.7, -0.4])
         drive(each, [0.3 * largest, -0.9 * largest, 0.5 * largest], 20)
@@ -215,7 +216,7 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
 
 
 @pytest.mark.parametrize("obstacles", [(), ((5.0, 5.0, 0.1),)])
-def test_a_load_deals_no_blow_and_is_gone_after_a_reset(engine, obstacles, servo, play, scale):
+def test_a_load_deals_no_blow_and_is_gone_after_a_reset(engine, obstacles, servo):
     if obstacles and engine == "analytic":
         pytest.skip("it has none")
     arm, fresh = (arm_of(engine, servo, obstacles=obstacles) for _ in range(2))
@@ -229,7 +230,7 @@ def test_a_load_deals_no_blow_and_is_gone_after_a_reset(engine, obstacles, servo
     arm.load(twin.parameters)  # without the field again
     copied = copy.deepcopy(arm)
     for each in (arm, copied, twin):
-        each.command([0.2 * scale(arm.parameters, servo)] * 3)
+        each.command([0.2 * largest_command(arm.parameters, servo)] * 3)
         each.step()
     assert arm.joint_velocities == copied.joint_velocities
     # A placed arm goes round at once, while a moving one goes straight on in a substep.
@@ -252,7 +253,7 @@ def test_a_torque_has_its_impulse_and_its_work_is_kinetic_energy_gained_or_lost(
     assert arm.servo_work[0] == pytest.approx(energy, rel=0.01)
 
 
-def test_values_of_the_wrong_length_are_refused_and_leave_no_trace(engine, play):
+def test_values_of_the_wrong_length_are_refused_and_leave_no_trace(engine):
     tried, untried = arm_of(engine), arm_of(engine)
     for call in (tried.command, tried.reset, lambda values: tried.reset([0.0] * 3, values)):
         for values in ([0.5, 0.5], [0.5] * 4):

@@ -9,15 +9,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.body import ArmParameters, PymunkArmBatch, make_arm, make_arms
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
 from mmc_gym.body.parameters import ArmColumns
 from mmc_gym.body.pymunk import batch as batch_module
+from tests.body.conftest import FIELD, draw_postures, largest_command
 
 ROUGH = {
     "joint_limits": ((-2.0, 2.0),) * 3,
-    "force_field": ((-1.0, 5.0), (-5.0, -1.0)),
+    "force_field": FIELD,
     "lockable_joints": (0, 2),
 }
 
@@ -64,66 +65,61 @@ def drawn(parameters, random, count, heaviest):
     return columns, [replace(parameters, **row) for row in rows]
 
 
-@pytest.fixture
-def play_both(postures, scale):
-    """A random schedule of commands, partial resets and locks, of arms and of single ones."""
-
-    def play(case, servo, count, steps, threads=1, alone=None, others=()):
-        engine, parameters = case
-        random = np.random.default_rng(count)
-        arms = make_arms(engine, parameters, count, servo, threads, others=others)
-        chosen = range(count) if alone is None else alone
-        singles = {index: make_arm(engine, parameters, servo) for index in chosen}
-        for each in (arms, *singles.values()):
-            each.records_effort = True
-        assert_equal(arms, singles)
-        for _ in range(steps):
-            if random.random() < 0.4:
-                rows = random.permutation(count)[: random.integers(0, count + 1)]
-                places = postures(parameters, random, len(rows)) / (2 if others else 1)
-                speeds = random.uniform(-3, 3, places.shape) if random.random() < 0.5 else None
-                new, own = None, None
-                if others:
-                    new, own = drawn(parameters, random, len(rows), others[-1].hand_mass)
-                arms.reset(places, rows, speeds, parameters=new)
-                for row, arm in enumerate(rows):
-                    if arm in singles:
-                        speed = None if speeds is None else speeds[row].tolist()
-                        singles[arm].reset(places[row].tolist(), speed, own and own[row])
-                assert_equal(arms, singles)
-            if random.random() < 0.3:
-                largest = 1.2 * scale(parameters, servo) * (2 if servo == "position" else 1)
-                values = random.uniform(-largest, largest, arms.joint_angles.shape)
-                arms.command(values)
-                for index, single in singles.items():
-                    single.command(values[index].tolist())
-            if random.random() < 0.2:
-                rows = random.permutation(count)[: random.integers(0, count + 1)]
-                arms.lock(rows)
-                for arm in set(rows.tolist()) & set(singles):
-                    singles[arm].lock()
-            arms.step()
-            for single in singles.values():
-                single.step()
+def play_both(case, servo, count, steps, threads=1, alone=None, others=()):
+    """Play a random schedule of commands, partial resets and locks, with single arms beside."""
+    engine, parameters = case
+    random = np.random.default_rng(count)
+    arms = make_arms(engine, parameters, count, servo, threads, others=others)
+    alone = range(count) if alone is None else alone
+    singles = {index: make_arm(engine, parameters, servo) for index in alone}
+    for simulated in (arms, *singles.values()):
+        simulated.records_effort = True
+    assert_equal(arms, singles)
+    for _ in range(steps):
+        if random.random() < 0.4:
+            rows = random.permutation(count)[: random.integers(0, count + 1)]
+            places = draw_postures(parameters, random, len(rows)) / (2 if others else 1)
+            speeds = random.uniform(-3, 3, places.shape) if random.random() < 0.5 else None
+            columns, each = None, [None] * len(rows)
+            if others:
+                columns, each = drawn(parameters, random, len(rows), others[-1].hand_mass)
+            arms.reset(places, rows, speeds, parameters=columns)
+            for row, arm in enumerate(rows):
+                if arm in singles:
+                    speed = None if speeds is None else speeds[row].tolist()
+                    singles[arm].reset(places[row].tolist(), speed, each[row])
             assert_equal(arms, singles)
-            assert np.isnan(arms.servo_work).all() == (engine == "analytic")  # which returns none
-        arms.close()
-        arms.close()
-        arms.step()  # closed arms can be stepped again
-        arms.close()
-
-    return play
+        if random.random() < 0.3:
+            largest = 1.2 * largest_command(parameters, servo) * (2 if servo == "position" else 1)
+            values = random.uniform(-largest, largest, arms.joint_angles.shape)
+            arms.command(values)
+            for index, single in singles.items():
+                single.command(values[index].tolist())
+        if random.random() < 0.2:
+            rows = random.permutation(count)[: random.integers(0, count + 1)]
+            arms.lock(rows)
+            for arm in set(rows.tolist()) & set(singles):
+                singles[arm].lock()
+        arms.step()
+        for single in singles.values():
+            single.step()
+        assert_equal(arms, singles)
+        assert np.isnan(arms.servo_work).all() == (engine == "analytic")  # which returns none
+    arms.close()
+    arms.close()
+    arms.step()  # closed arms can be stepped again
+    arms.close()
 
 
 @pytest.mark.usefixtures("few_arms_in_a_space")
-def test_every_arm_moves_as_a_single_one(case, servo, play_both):
+def test_every_arm_moves_as_a_single_one(case, servo):
     play_both(case, servo, count=9, steps=40)
 
 
 @pytest.mark.usefixtures("few_arms_in_a_space")
 @pytest.mark.parametrize(("engine", "count"), [("pymunk", 40), ("analytic", 520)])
 @pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-def test_threads_change_nothing(engine, count, made, servo, play_both):
+def test_threads_change_nothing(engine, count, made, servo):
     case = engine, ArmParameters(**made)
     play_both(case, servo, count, steps=20, threads=2, alone=(0, 13, count - 1))
 
@@ -131,16 +127,14 @@ def test_threads_change_nothing(engine, count, made, servo, play_both):
 @pytest.mark.usefixtures("few_arms_in_a_space")
 @pytest.mark.parametrize("heaviest", [0.0, 2.0], ids=["without loads", "with loads"])
 @pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-def test_arms_that_differ_move_as_single_ones_with_their_parameters(
-    engine, made, heaviest, servo, play_both
-):
+def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, heaviest, servo):
     """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
     own = replace(ArmParameters(**made), lockable_joints=(0, 1, 2))
     other = replace(own, gravity=(0.0, 30.0), hand_mass=heaviest)
     play_both((engine, own), servo, 37, 30, others=[own, other])
 
 
-def test_a_whole_space_of_arms_moves_as_single_ones(play_both):
+def test_a_whole_space_of_arms_moves_as_single_ones():
     play_both(("pymunk", ArmParameters()), "position", count=150, steps=20, threads=2)
 
 

@@ -13,9 +13,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.body import ArmParameters, PymunkArm, make_arm, make_arms
 from mmc_gym.geometry import wrap_angle
+from tests.body.conftest import DISCS, draw_postures, largest_command, play
 
 
 def pivot_gap(arm):
@@ -51,10 +52,10 @@ class PublicArm(PymunkArm):
                 servo.phase = min(max(value, low), high)
 
 
-def test_direct_calls_give_what_pymunk_gives(parameters, servo, play, postures):
+def test_direct_calls_give_what_pymunk_gives(parameters, servo):
     parameters = dataclasses.replace(parameters, force_field=None)
     arms = [PymunkArm(parameters, servo), PublicArm(parameters, servo)]
-    posture = postures(parameters, np.random.default_rng(0), 1)[0].tolist()
+    posture = draw_postures(parameters, np.random.default_rng(0), 1)[0].tolist()
     for arm in arms:
         arm.reset(posture)
     assert play(arms[0], servo, seed=0) == play(arms[1], servo, seed=0)
@@ -78,10 +79,10 @@ def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(monkeypatch):
     assert pickle.loads(pickle.dumps(arm)).joint_angles == arm.joint_angles
 
 
-def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
+def test_no_servo_gives_more_than_the_torque_limit(servo):
     arm, torques = PymunkArm(ArmParameters(torque_limit=50.0), servo), []
     for shares in np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3)):
-        arm.command((scale(arm.parameters, servo) * shares).tolist())
+        arm.command((largest_command(arm.parameters, servo) * shares).tolist())
         for _ in range(5):
             arm.step()
             torques += [abs(drive.impulse) / 0.005 for drive in arm._linkage.servos]
@@ -171,7 +172,7 @@ def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, 
 
 
 def test_resets_among_obstacles_leave_the_memory_as_it_was():
-    arm, used = PymunkArm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), []
+    arm, used = PymunkArm(ArmParameters(obstacles=DISCS)), []
     for episodes in (300, 700):
         for _ in range(episodes):
             arm.reset([0.1, 0.2, 0.3])
@@ -206,14 +207,14 @@ def any_arm(draw):
 @example(parameters=ArmParameters(segment_masses=(0.1, 0.1, 3.0)), seed=0)
 @example(parameters=ArmParameters(hand_mass=20.0), seed=0)
 @example(parameters=ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4), seed=0)
-def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, postures):
+def test_an_arm_holds_together_or_is_refused(parameters, seed, servo):
     try:
         arm = PymunkArm(parameters, servo)
     except UserError as refusal:
         assert re.search("an arm that substeps can hold together: .* got .* times", str(refusal))
         return
     assert parameters.hand_mass < 1e4
-    arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
+    arm.reset(draw_postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
     for _ in range(3):
         assert np.isfinite(play(arm, servo, seed, steps=3)).all()
         assert pivot_gap(arm) < 0.05 * sum(parameters.segment_lengths)
