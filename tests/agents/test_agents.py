@@ -12,8 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.agents import AGENTS, resolve
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, bend_where_stuck
@@ -76,7 +75,7 @@ WORLDS["all mixed"] = [
 ]
 
 
-@pytest.mark.filterwarnings("ignore::mmc_gym._errors.MismatchWarning")
+@pytest.mark.filterwarnings("ignore::mmc_gym.MismatchWarning")
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", by_night([name for name in AGENTS if name != "random"]))
 def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):

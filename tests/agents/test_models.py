@@ -10,19 +10,13 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
-from gymnasium.wrappers import (
-    FlattenObservation,
-    FrameStackObservation,
-    RescaleAction,
-    TransformObservation,
-)
+from gymnasium import wrappers
 from sb3_contrib import ARS, TQC, TRPO, CrossQ, RecurrentPPO
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
-import mmc_gym
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym import MismatchWarning, UserError, make_agent
 from mmc_gym.agents import resolve, resolve_all
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
@@ -40,9 +34,30 @@ TWO_TRIALS = Experiment(name="two", blocks=(Block("baseline", 2),))
 TINY = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": [4]}}
 
 
+def vec_env(**env_kwargs):
+    return make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL, **env_kwargs})
+
+
 def trained(seed=0, wrap=lambda env: env, **env_kwargs):
-    env = wrap(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL, **env_kwargs}))
+    env = wrap(vec_env(**env_kwargs))
     return PPO("MlpPolicy", env, seed=seed, device="cpu", **TINY).learn(8)
+
+
+def load(source, env, **options):
+    return make_agent(source, env, allow_pickle=True, **options)
+
+
+def assert_acts_as(model, agent, env):
+    """The agent normalizes observations where, and only where, the model was trained on such."""
+    observation, _ = env.reset(seed=3)
+    normalizer = model.get_vec_normalize_env()
+    for batch in (observation, np.stack([observation, observation])):
+        plain, _ = model.predict(batch, deterministic=True)
+        expected = plain
+        if normalizer and normalizer.norm_obs:
+            expected, _ = model.predict(normalizer.normalize_obs(batch), deterministic=True)
+            assert not np.array_equal(plain, expected)
+        np.testing.assert_array_equal(agent.predict(batch, deterministic=True)[0], expected)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +81,9 @@ def env():
 def test_a_model_that_is_trained_further_acts_with_its_present_statistics(env):
     """Old statistics with new weights are another policy."""
     model = trained(wrap=VecNormalize)
-    agent = mmc_gym.make_agent(model, env)
+    agent = make_agent(model, env)
     model.learn(40, reset_num_timesteps=False)
-    assert acts_as(model, agent, env)
+    assert_acts_as(model, agent, env)
     assert resolve(model).fingerprint == resolve(agent).fingerprint
 
 
@@ -89,75 +104,68 @@ def test_an_own_part_of_a_model_belongs_to_it_with_its_module(tmp_path, monkeypa
     before = fingerprints()
     assert fingerprints() == before
     (tmp_path / "own_extractor.py").write_text(f"{code}# changed")
-    assert all(one != other for one, other in zip(fingerprints(), before))
-
-
-def acts_as(model, agent, env):
-    observation, _ = env.reset(seed=3)
-    for batch in (observation, np.stack([observation, observation])):
-        seen = batch, model.get_env().normalize_obs(batch)
-        plain, expected = (model.predict(one, deterministic=True)[0] for one in seen)
-        np.testing.assert_array_equal(agent.predict(batch, deterministic=True)[0], expected)
-        assert not np.array_equal(plain, expected)
-    return True
+    assert all(now != then for now, then in zip(fingerprints(), before))
 
 
 @pytest.mark.parametrize("source", ["model", "model.zip", "folder"])
 def test_a_model_acts_on_observations_normalized_as_in_training(model, folder, env, source):
-    given = {"model": model, "model.zip": folder / "model.zip", "folder": folder}[source]
-    agent = mmc_gym.make_agent(given, env, allow_pickle=True)
-    assert acts_as(model, agent, env)
-    assert agent.training_steps == resolve(given, allow_pickle=True).training_steps == 8
+    source = {"model": model, "model.zip": folder / "model.zip", "folder": folder}[source]
+    agent = load(source, env)
+    assert_acts_as(model, agent, env)
+    assert agent.training_steps == resolve(source, allow_pickle=True).training_steps == 8
 
 
-@pytest.mark.parametrize("given", ["file", "object", "by label"])
-def test_a_model_that_was_loaded_is_given_its_statistics_or_refused(model, folder, env, given):
-    statistics = {
-        "file": folder / "vec_normalize.pkl",
-        "object": model.get_env(),
-        "by label": {"PPO": str(folder / "vec_normalize.pkl")},
-    }[given]
+@pytest.mark.parametrize("form", ["file", "object", "by label"])
+def test_a_model_that_was_loaded_is_given_its_statistics_or_refused(model, folder, env, form):
+    file = folder / "vec_normalize.pkl"
+    forms = {"file": file, "object": model.get_env(), "by label": {"PPO": str(file)}}
     alone = folder / "alone" / "model.zip"
     alone.parent.mkdir()
     shutil.copy(folder / "model.zip", alone)
     for source in (PPO.load(folder / "model", device="cpu"), alone):
         with pytest.raises(UserError, match=r"must have the statistics .* say --statistics FILE"):
-            mmc_gym.make_agent(source, env, allow_pickle=True)
-        if given != "by label" or source is not alone:
-            told = {"statistics": statistics, "allow_pickle": True}
-            assert acts_as(model, mmc_gym.make_agent(source, env, **told), env)
-            (found,) = resolve_all([source], **told)
-            assert found.fingerprint == resolve(model).fingerprint
-            assert found.training_seed == (5 if source is alone else None)
-    with pytest.raises(UserError, match="must be for a model of stable-baselines3"):
-        compare(["mmc"], episodes=1, statistics=model.get_env())
-    with pytest.raises(UserError, match="statistics of mmc must be for a model of stable-base"):
-        compare([model, "mmc"], episodes=1, statistics={"mmc": model.get_env()})
-    with pytest.raises(UserError, match="statistics must be a VecNormalize, or the path of its"):
-        compare([model], episodes=1, statistics=3)
-    with pytest.raises(UserError, match=r"vec_normalize.pkl' holds pickles"):
-        compare([model], episodes=1, statistics=folder / "vec_normalize.pkl")
+            load(source, env)
+        if form != "by label" or source is not alone:
+            assert_acts_as(model, load(source, env, statistics=forms[form]), env)
+            (agent,) = resolve_all([source], statistics=forms[form], allow_pickle=True)
+            assert agent.fingerprint == resolve(model).fingerprint
+            assert agent.training_seed == (5 if source is alone else None)
+
+
+def test_statistics_that_are_none_or_of_no_model_are_refused(model, folder):
+    for agents, statistics, message in (
+        (["mmc"], model.get_env(), "must be for a model of stable-baselines3"),
+        ([model, "mmc"], {"mmc": model.get_env()}, "statistics of mmc must be for a model of stab"),
+        ([model], 3, "statistics must be a VecNormalize, or the path of its"),
+        ([model], folder / "vec_normalize.pkl", r"vec_normalize.pkl' holds pickles"),
+    ):
+        with pytest.raises(UserError, match=message):
+            compare(agents, episodes=1, statistics=statistics)
 
 
 def test_a_model_that_was_loaded_into_its_normalization_needs_no_more(model, folder, env):
-    plain = make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL})
+    plain = vec_env()
     with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
-        mmc_gym.make_agent(PPO.load(folder / "model", env=plain, device="cpu"), env)
+        load(PPO.load(folder / "model", env=plain, device="cpu"), env)
     normalized = VecNormalize.load(str(folder / "vec_normalize.pkl"), plain)
-    loaded = PPO.load(folder / "model", env=normalized, device="cpu")
-    assert acts_as(model, mmc_gym.make_agent(loaded, env), env)
+    assert_acts_as(model, load(PPO.load(folder / "model", normalized, device="cpu"), env), env)
 
 
-@pytest.mark.parametrize("kind", [PPO, SAC])
-def test_a_model_whose_rewards_alone_were_normalized_needs_no_statistics(kind, tmp_path, env):
-    envs = VecNormalize(make_vec_env("MMCReach-v0", 1), norm_obs=False)
-    model = kind("MlpPolicy", envs, device="cpu", **(TINY if kind is PPO else OFF_POLICY)).learn(12)
+OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
+
+
+@pytest.mark.parametrize("normalizes_rewards", [False, True])
+@pytest.mark.parametrize(("kind", "steps"), [(PPO, 8), (SAC, 0), (SAC, 12)])
+def test_a_model_that_observed_what_there_is_needs_no_statistics(
+    kind, steps, normalizes_rewards, tmp_path, env
+):
+    envs = VecNormalize(vec_env(), norm_obs=False) if normalizes_rewards else vec_env()
+    model = kind("MlpPolicy", envs, device="cpu", **(TINY if kind is PPO else OFF_POLICY))
+    model = model.learn(steps) if steps else model
     model.save(tmp_path / "model")
-    observation, _ = env.reset(seed=1)
-    expected, _ = model.predict(observation, deterministic=True)
-    for source in (kind.load(tmp_path / "model", device="cpu"), tmp_path / "model.zip"):
-        agent = mmc_gym.make_agent(source, env, allow_pickle=True)
-        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
+    assert_acts_as(model, load(tmp_path / "model.zip", env), env)
+    if normalizes_rewards or kind is PPO:
+        assert_acts_as(model, load(kind.load(tmp_path / "model", device="cpu"), env), env)
 
 
 def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatch):
@@ -171,7 +179,7 @@ def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatc
 def test_a_model_acts_in_the_control_mode_of_its_training_alone(model):
     other = gym.make("MMCReach-v0", control="joint_torque")
     with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
-        mmc_gym.make_agent(model, other)
+        make_agent(model, other)
     found = compare({"object": model, "mmc": "mmc"}, episodes=1)
     assert found.controls == {"object": CONTROL, "mmc": "joint_delta"}
 
@@ -213,9 +221,9 @@ def test_the_folder_of_rl_zoo3_has_its_statistics_inside(folder, model, env):
     inside.mkdir()
     (folder / "vec_normalize.pkl").rename(inside / "vecnormalize.pkl")
     with pytest.raises(UserError, match="must have the statistics"):  # of anybody
-        mmc_gym.make_agent(folder, env, allow_pickle=True)
+        load(folder, env)
     (inside / "config.yml").write_text("normalize: true")
-    assert acts_as(model, mmc_gym.make_agent(folder, env, allow_pickle=True), env)
+    assert_acts_as(model, load(folder, env), env)
 
 
 @pytest.mark.parametrize("name", ["model", "lr_0.001"])
@@ -229,14 +237,14 @@ def test_a_model_is_found_by_the_name_it_was_saved_by(name, tmp_path, monkeypatc
 
 def test_a_model_is_refused_where_a_wrapper_of_its_training_is_missing(env):
     behind = trained()
-    behind.get_env().envs[0] = RescaleAction(behind.get_env().envs[0], *TWICE)
+    behind.get_env().envs[0] = wrappers.RescaleAction(behind.get_env().envs[0], *TWICE)
     with pytest.raises(CannotActError, match="env must be wrapped in RescaleAction, as in the tr"):
-        mmc_gym.make_agent(behind, env)
-    assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
+        make_agent(behind, env)
+    assert make_agent(behind, wrappers.RescaleAction(env, *TWICE))
 
 
 def stacked(env):
-    return FlattenObservation(FrameStackObservation(env, 2, padding_type="zero"))
+    return wrappers.FlattenObservation(wrappers.FrameStackObservation(env, 2, padding_type="zero"))
 
 
 def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
@@ -340,19 +348,6 @@ def test_a_wrapper_that_is_none_is_refused(model, wrapper, message):
         compare(["mmc"], episodes=1, wrapper="builtins:repr")
 
 
-OFF_POLICY = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
-
-
-def test_a_model_without_statistics_acts_on_observations_as_they_are(tmp_path, env):
-    sac = SAC("MlpPolicy", env, device="cpu", **OFF_POLICY)
-    for name, one in {"new": sac, "sac": sac.learn(12), "plain": trained()}.items():
-        one.save(tmp_path / name)
-        agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
-        observation, _ = env.reset(seed=1)
-        expected, _ = one.predict(observation, deterministic=True)
-        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
-
-
 def test_a_folder_with_a_best_model_is_that_model(folder):
     shutil.copy(folder / "model.zip", folder / "best_model.zip")
     assert resolve(str(folder)).model.path.name == "best_model.zip"
@@ -367,36 +362,34 @@ def test_a_model_takes_no_statistics_that_are_not_its_own(tmp_path, model):
 def test_a_file_that_lacks_its_statistics_is_refused_or_warned_of(tmp_path, env):
     """Those of off-policy algorithms do not say whether they need them."""
 
-    def make():
-        return mmc_gym.make_agent(tmp_path / "mine.zip", env, allow_pickle=True)
+    def save(envs):
+        SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
 
-    envs = VecNormalize(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
-    SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
+    save(VecNormalize(vec_env()))
     with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
-        make()
-    envs = make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL})
-    with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
-        mmc_gym.make_agent(SAC.load(tmp_path / "mine", env=envs, device="cpu"), env)
-    unbounded = lambda env: TransformObservation(env, lambda seen: seen, space)  # noqa: E731
+        load(tmp_path / "mine.zip", env)
+    unsure = "does not say whether it was trained behind a VecN"
+    with pytest.warns(MismatchWarning, match=unsure):
+        load(SAC.load(tmp_path / "mine", env=vec_env(), device="cpu"), env)
+    unbounded = lambda env: wrappers.TransformObservation(env, lambda seen: seen, space)  # noqa: E731
     space = gym.spaces.Box(-np.inf, np.inf, (15,))
-    envs = make_vec_env("MMCReach-v0", 1, wrapper_class=unbounded)
-    SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
-    with pytest.warns(MismatchWarning, match="does not say whether it was trained behind a VecN"):
-        make()
+    save(make_vec_env("MMCReach-v0", 1, wrapper_class=unbounded))
+    with pytest.warns(MismatchWarning, match=unsure):
+        load(tmp_path / "mine.zip", env)
 
 
 def test_another_arm_is_warned_of_and_other_observations_are_refused(env):
     with pytest.warns(MismatchWarning, match="segment_lengths .*2.0.* in training"):
-        mmc_gym.make_agent(trained(segment_lengths=(1, 1, 2)), env)
+        make_agent(trained(segment_lengths=(1, 1, 2)), env)
     for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):
         with pytest.raises(CannotActError, match=r"must be of shape .* say --wrapper"):
-            mmc_gym.make_agent(other, env)
+            make_agent(other, env)
 
 
 def test_a_model_for_goals_is_told_where_it_can_play(env):
     goals = SAC("MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **OFF_POLICY)
     with pytest.raises(CannotActError, match="let it play in MMCReachGoal-v0"):
-        mmc_gym.make_agent(goals, env)
+        make_agent(goals, env)
 
 
 def test_a_warning_of_a_model_shows_the_line_of_the_user(folder):

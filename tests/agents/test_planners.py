@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents import AGENTS, planners
 from mmc_gym.agents import optimal_control as oc
 from mmc_gym.agents.inverse_kinematics import hand_position

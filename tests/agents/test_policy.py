@@ -13,8 +13,7 @@ from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
-from mmc_gym import make_agent
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym import MismatchWarning, UserError, make_agent
 from mmc_gym._files import digest_of
 from mmc_gym.agents import AGENTS, policy
 from mmc_gym.agents.policy import PRETRAINED, load_policy

@@ -8,8 +8,7 @@ from types import ModuleType, SimpleNamespace
 import gymnasium as gym
 import pytest
 
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolved
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.spatial import lengthened
 from mmc_gym.interface import ReachInterface, Seen
