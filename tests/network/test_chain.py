@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.geometry import (
     joint_angles_from_segments,
     node_positions,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.geometry import segments_from_joint_angles, wrap_angle
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.embodied import Embodiment, embodied_run

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.network import LearnedNormalizer, MMCNetwork, MMCState, chain
 from mmc_gym.network.chain import linear_operator

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym._errors import UserError
-from mmc_gym.robots import HingeArm, HingeNetwork
+from mmc_gym import HingeArm, HingeNetwork, UserError
 
 ROBOTS = ("panda", "ur5", "iiwa")
 PANDA = HingeArm.named("panda")

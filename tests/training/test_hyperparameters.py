@@ -2,20 +2,22 @@
 
 import re
 from copy import deepcopy
+from importlib.resources import files
+from operator import methodcaller
 
 import numpy as np
 import pytest
 import yaml
 from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
-from mmc_gym._errors import UserError
-from mmc_gym.training import hyperparameters
+from mmc_gym import UserError
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
 from mmc_gym.training.training import make_vec_env
 from studies.learners.ppo_residual import Residual
 
 RESIDUAL = "studies.learners.ppo_residual.Residual"
 HER = "HerReplayBuffer"
+OF_PPO = "hyperparameters of ppo-mine must .*"
 
 
 def recipe(algorithm="ppo", **changes):
@@ -31,7 +33,8 @@ def make(one):
 @pytest.mark.parametrize("name", names())
 def test_every_file_describes_a_model(name):
     one = read_recipe(name)
-    entry = yaml.safe_load((hyperparameters._SHIPPED / f"{name}.yml").read_text())[one.env_id]
+    file = files("mmc_gym.training") / "hyperparams" / f"{name}.yml"
+    entry = yaml.safe_load(file.read_text())[one.env_id]
     assert entry == one.hyperparameters  # none of the keys that rl_zoo3 does not know
     assert not {"perturbations", "memory"} & entry.keys()
     before = deepcopy(one.hyperparameters)
@@ -156,22 +159,15 @@ def test_all_that_an_entry_names_is_made():
         ("ppo", "noise_type", "white", "noise_type must be 'normal' or"),
         ("sac", "replay_buffer_class", "Pickle", "got 'Pickle'"),
         ("sac", "train_freq", 0, "train_freq.* must be .*, got 0"),
+        # What only the constructor can refuse is said in its words.
+        ("ppo", "policy_kwargs", {"net_architecture": [8]}, f"{OF_PPO}net_architecture'"),
+        ("ppo", "batch_size", 1, f"{OF_PPO}AssertionError: `batch_size`"),
+        ("ppo", "vec_env_wrapper", [{RESIDUAL: {"base": 1}}], f"{OF_PPO}unexpected .* 'base'"),
+        ("sac", "ent_coef", "auto_x", "hyperparameters of sac-mine must .*ValueError: .*'x'"),
     ],
 )
 def test_a_mistake_is_named_with_the_value_and_what_is_accepted(algorithm, key, value, message):
+    mistaken = recipe(algorithm, **{key: value})
+    act = make if message.startswith("hyperparameters of") else methodcaller("steps_per_leg", 25)
     with pytest.raises(UserError, match=message):
-        recipe(algorithm, **{key: value}).steps_per_leg(25)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "key", "value", "message"),
-    [
-        ("ppo", "policy_kwargs", {"net_architecture": [8]}, "net_architecture'"),
-        ("ppo", "batch_size", 1, "AssertionError: `batch_size`"),
-        ("ppo", "vec_env_wrapper", [{RESIDUAL: {"base": 1}}], "unexpected .* 'base'"),
-        ("sac", "ent_coef", "auto_x", "ValueError: .*'x'"),
-    ],
-)
-def test_what_only_the_constructor_can_refuse_is_said_in_its_words(algorithm, key, value, message):
-    with pytest.raises(UserError, match=f"hyperparameters of {algorithm}-mine must .*{message}"):
-        make(recipe(algorithm, **{key: value}))
+        act(mistaken)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-import mmc_gym
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent, train
 from mmc_gym.agents.policy import load_policy
 from mmc_gym.agents.resolver import resolve
 from mmc_gym.benchmark.suite import Arms, make_player, play_episodes
@@ -146,7 +145,7 @@ def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(name, tmp_pa
     normalizer = model.get_vec_normalize_env()
     assert (normalizer is not None) == (name != "ppo")
     observations, _ = envs.reset(seed=0)
-    agent = mmc_gym.make_agent(str(tmp_path / f"{name}-3.json"), envs)
+    agent = make_agent(str(tmp_path / f"{name}-3.json"), envs)
     state = theirs = None
     for start in ([True] * 5, [False] * 5, [False, True, False, False, False]):
         actions, state = agent.predict(observations, state, start, deterministic=True)
@@ -245,16 +244,16 @@ def test_a_short_training_with_the_shipped_hyperparameters_reaches(tmp_path):
 
 def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    agent = module.train("ppo", seed=3, steps=1)
+    agent = train("ppo", seed=3, steps=1)
     assert not list(tmp_path.iterdir())
     env = gym.make("MMCReach-v0")
     observation, _ = env.reset(seed=0)
     action, _ = agent.predict(observation, deterministic=True)
     saved = agent.save("mine")
     assert saved == Path("mine/ppo-3.json")
-    kept = module.train("ppo", seed=3, steps=1, out="kept")
+    kept = train("ppo", seed=3, steps=1, out="kept")
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
-    for same in (mmc_gym.make_agent(str(saved), env), kept):
+    for same in (make_agent(str(saved), env), kept):
         np.testing.assert_array_equal(action, same.predict(observation, deterministic=True)[0])
 
 
@@ -265,7 +264,7 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
         "  env_kwargs: {observe_context: true}\n  policy: MlpPolicy\n"
         "  n_timesteps: 400\n  n_envs: 4\n  n_steps: 100\n  batch_size: 100\n  memory: [1, 2]\n"
     )
-    card = module.train(file, out=tmp_path).card
+    card = train(file, out=tmp_path).card
     scale = ["rotation--60..60", {"one_of": ["locks-1..3", None], "weights": [1.0, 1.0]}]
     assert card.context == card.hyperparameters["env_kwargs"]["perturbations"][:1] + scale[1:]
     agent = resolve(str(tmp_path))
@@ -278,17 +277,17 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     for one, other in zip(run_episodes(player, env, [5, 6]), together, strict=True):
         np.testing.assert_array_equal(one.hands, other.hands)
     with pytest.raises(CannotActError, match=r"with observe_context=\['rotation--60..60', "):
-        mmc_gym.make_agent(str(tmp_path), gym.make("MMCReach-v0"))
-    mmc = mmc_gym.make_agent("mmc", env)  # ignores it
+        make_agent(str(tmp_path), gym.make("MMCReach-v0"))
+    mmc = make_agent("mmc", env)  # ignores it
     plain, _ = scenario.make().reset(seed=1)
-    action = mmc_gym.make_agent("mmc", scenario.make()).predict(plain)[0]
+    action = make_agent("mmc", scenario.make()).predict(plain)[0]
     np.testing.assert_array_equal(mmc.predict(env.reset(seed=1)[0])[0], action)
 
 
 @pytest.mark.parametrize(("name", "what"), [("out", "a path"), ("env_kwargs", "a map")])
 def test_wrong_types_of_arguments_are_named(name, what):
     with pytest.raises(UserError, match=f"{name} must be {what}.*, got 3"):
-        mmc_gym.train("ppo", steps=1, **{name: 3})
+        train("ppo", steps=1, **{name: 3})
 
 
 def test_a_policy_remembers_in_play_what_it_saw_in_training(tmp_path):
@@ -297,7 +296,7 @@ def test_a_policy_remembers_in_play_what_it_saw_in_training(tmp_path):
     network, _ = load_policy(tmp_path / "ppo-3.json")
     seen = Memory(module.make_vec_env("MMCReach-v0", 2, {}), card.blocks)
     envs = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
-    agent = mmc_gym.make_agent(str(tmp_path), gym.make("MMCReach-v0"))
+    agent = make_agent(str(tmp_path), gym.make("MMCReach-v0"))
     seen.seed(1)
     shown, (observation, _) = seen.reset(), envs.reset(seed=1)
     state, starts = None, np.ones(2, dtype=bool)

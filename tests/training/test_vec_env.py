@@ -8,8 +8,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.env_util import make_vec_env
 
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.training.vec_env import GymnasiumVecEnv
 from studies.learners.ppo_residual import Residual
 
