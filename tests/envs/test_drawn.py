@@ -18,8 +18,8 @@ from tests.envs.conftest import RANGES, random_actions, same
 def test_every_joint_that_may_be_drawn_locks(engine):
     """Of five, more than there are ends and a middle of the range."""
     options = ["gravity-0..60", "locked-1..5", "longer-0..20", "delay-0..100", "rotation-0..60"]
-    made = {"segment_lengths": (1.0,) * 6, "perturbations": OneOf(*options)}
-    env = gym.make_vec("MMCReach-v0", 100, engine=engine, torque_limit=2e4, **made)
+    arguments = {"segment_lengths": (1.0,) * 6, "perturbations": OneOf(*options)}
+    env = gym.make_vec("MMCReach-v0", 100, engine=engine, torque_limit=2e4, **arguments)
     _, info = env.reset(seed=0)
     locked = np.flatnonzero(info["context"]["choice"] == 1)
     joints = info["context"]["locked"][locked].astype(int) - 1
@@ -41,8 +41,8 @@ def test_strengths_are_drawn_as_their_distributions():
     perturbations = ["rotation--60..60", "hand-mass-0..3", "locks-1..3", JointNoise(noise)]
     perturbations += [VisuomotorRotation(angle)]
     perturbations += [OneOf("delay-0..160", "delay-40", None, weights=(1, 2, 3))]
-    made = {"engine": "analytic", "perturbations": perturbations}
-    context = gym.make_vec("MMCReach-v0", 1500, **made).reset(seed=0)[1]["context"]
+    arguments = {"engine": "analytic", "perturbations": perturbations}
+    context = gym.make_vec("MMCReach-v0", 1500, **arguments).reset(seed=0)[1]["context"]
     drawn = {"rotation": uniform(-60, 120), "hand-mass": uniform(0, 3)}
     drawn |= {"joint-noise": noise, "rotation#2": angle}
     for name, distribution in drawn.items():
@@ -92,10 +92,10 @@ def test_arms_with_a_context_beyond_their_ranges_are_single_arms(name, engine):
     native += [many.step(action) for action in actions]
     for arm in range(4):
         single = mmc_gym.make(name, engine=engine)
-        own = {key: values[arm] for key, values in context.items()}
-        played = [single.reset(seed=7 + arm, options={"context": own})]
-        played += [single.step(action[arm]) for action in actions]
-        for (seen, *_, info), (expected, *_, facts) in zip(native, played, strict=True):
+        row = {key: values[arm] for key, values in context.items()}
+        steps = [single.reset(seed=7 + arm, options={"context": row})]
+        steps += [single.step(action[arm]) for action in actions]
+        for (seen, *_, info), (expected, *_, facts) in zip(native, steps, strict=True):
             assert same(seen[arm], expected)
             assert same(info["distance"][arm], facts["distance"])
             assert expected in single.observation_space
@@ -122,18 +122,18 @@ CHOICE = ["rotation-0..60", OneOf("gain-1..2", None)]
     ],
 )
 def test_a_vector_refuses_the_contexts_that_a_single_arm_refuses(name, context, message, engine):
-    name, made = (name, {}) if isinstance(name, str) else ("random", {"perturbations": name})
-    made["engine"] = engine
-    single, whole = mmc_gym.make(name, **made), mmc_gym.make_vec(name, 2, **made)
-    untouched, alone = mmc_gym.make_vec(name, 2, **made), mmc_gym.make(name, **made)
+    name, arguments = (name, {}) if isinstance(name, str) else ("random", {"perturbations": name})
+    arguments["engine"] = engine
+    single, whole = mmc_gym.make(name, **arguments), mmc_gym.make_vec(name, 2, **arguments)
+    untouched, alone = mmc_gym.make_vec(name, 2, **arguments), mmc_gym.make(name, **arguments)
     last = {key: values if np.isscalar(values) else values[1] for key, values in context.items()}
     for env in (single, whole, untouched, alone):
         env.reset(seed=3)
     with pytest.raises(UserError, match=message):
         single.reset(seed=5, options={"context": last})
-    for given in ({"seed": 5}, {}):
+    for seeding in ({"seed": 5}, {}):
         with pytest.raises(UserError, match=f"(?s)(for arm 1.*{message}|{message}.* for arm 1)"):
-            whole.reset(**given, options={"context": context})
+            whole.reset(**seeding, options={"context": context})
     assert same(single.reset(), alone.reset())
     for action in random_actions(whole, 110):
         assert same(whole.step(action), untouched.step(action))
@@ -170,8 +170,8 @@ def test_an_arm_moves_as_a_fixed_one_of_what_was_drawn(drawn, context, fixed, en
     fixed.reset(seed=0, options=start)
     drawn.reset(seed=0, options={**start, "context": context})
     for action in random_actions(fixed, 20):
-        (*expected, facts), (*found, info) = fixed.step(action), drawn.step(action)
-        assert same([*expected, facts], [*found, {name: info[name] for name in facts}])
+        (*expected, facts), (*actual, info) = fixed.step(action), drawn.step(action)
+        assert same([*expected, facts], [*actual, {name: info[name] for name in facts}])
 
 
 def test_the_context_is_observed_within_one():
@@ -220,7 +220,7 @@ def test_a_context_is_observed_on_a_given_scale(scale, name, shown):
 
 def test_distributions_may_change_between_episodes():
     wider, names = ["rotation-90..120", "delay-0..160"], "rotation--60..60+delay-0..40"
-    env, sync = (mmc_gym.make_vec(names, 2, vectorization_mode=one) for one in (None, "sync"))
+    env, sync = (mmc_gym.make_vec(names, 2, vectorization_mode=mode) for mode in (None, "sync"))
     for each in (env, sync):
         each.reset(seed=0)
     sync.set_attr("perturbations", [wider, wider])
@@ -229,10 +229,10 @@ def test_distributions_may_change_between_episodes():
     rotations = []
     for step in range(203):
         actions = np.full((2, 3), 0.1 * np.cos(step), np.float32)
-        one, other = sync.step(actions), env.step(actions)
-        assert same(one[0], other[0])
-        assert same(one[4]["context"], other[4]["context"])
-        rotations.append(np.abs(other[4]["context"]["rotation"]).max())
+        expected, actual = sync.step(actions), env.step(actions)
+        assert same(expected[0], actual[0])
+        assert same(expected[4]["context"], actual[4]["context"])
+        rotations.append(np.abs(actual[4]["context"]["rotation"]).max())
     assert max(rotations) > 60
     with pytest.raises(UserError, match="perturbations must be the same perturbations with other"):
         env.unwrapped.perturbations = "gain-0.8..1.4"
@@ -240,10 +240,10 @@ def test_distributions_may_change_between_episodes():
 
 def test_an_observed_context_keeps_its_scale_when_the_ranges_change():
     """So that a policy sees the same numbers for the same body; what lies beyond is beyond ±1."""
-    made = {"observe_context": True, "engine": "analytic"}
-    single = mmc_gym.make("rotation--10..10", **made)
-    native = mmc_gym.make_vec("rotation--10..10", 2, **made)
-    sync = mmc_gym.make_vec("rotation--10..10", 2, vectorization_mode="sync", **made)
+    arguments = {"observe_context": True, "engine": "analytic"}
+    single = mmc_gym.make("rotation--10..10", **arguments)
+    native = mmc_gym.make_vec("rotation--10..10", 2, **arguments)
+    sync = mmc_gym.make_vec("rotation--10..10", 2, vectorization_mode="sync", **arguments)
     for degrees, ranges in ((5, None), (45, "rotation--60..60"), (-5, ["rotation--20..20"])):
         if ranges is not None:
             single.unwrapped.set_perturbations(ranges)
@@ -276,8 +276,8 @@ def test_perturbations_change_through_the_vector_environments_of_stable_baseline
     from stable_baselines3.common.env_util import make_vec_env
 
     kinds = {"dummy": vec_env.DummyVecEnv, "subproc": vec_env.SubprocVecEnv}
-    made = {"perturbations": "rotation--10..10"}
-    envs = make_vec_env("mmc_gym:MMCReach-v0", 2, env_kwargs=made, vec_env_cls=kinds[mode])
+    arguments = {"perturbations": "rotation--10..10"}
+    envs = make_vec_env("mmc_gym:MMCReach-v0", 2, env_kwargs=arguments, vec_env_cls=kinds[mode])
     envs.env_method("set_perturbations", "rotation-50..60")
     envs.reset()
     drawn = [context["rotation"] for context in envs.get_attr("context")]

@@ -62,10 +62,10 @@ def joint_angles(env):
     ],
 )
 def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_known):
-    own = {"force_field": ((1.0, 0.0), (0.0, 1.0)), "hand_mass": 0.5, "gravity": (1.0, -2.0)}
-    env = MMCReachEnv(perturbations=perturbations, **own)
-    assert env.episode.body == ArmParameters(**{**own, **body})
-    assert env.parameters == (env.episode.body if is_known else ArmParameters(**own))
+    unchanged = {"force_field": ((1.0, 0.0), (0.0, 1.0)), "hand_mass": 0.5, "gravity": (1.0, -2.0)}
+    env = MMCReachEnv(perturbations=perturbations, **unchanged)
+    assert env.episode.body == ArmParameters(**{**unchanged, **body})
+    assert env.parameters == (env.episode.body if is_known else ArmParameters(**unchanged))
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -74,8 +74,8 @@ def test_an_agent_that_is_not_given_a_length_misses_by_its_change(factor, known)
     change = SegmentLength(factor, known=known)
     env = MMCReachEnv(perturbations=change)
     assert env.episode.body.segment_lengths == pytest.approx((1.0, 1.0, factor))
-    given = (1.0, 1.0, factor if known else 1.0)
-    assert env.parameters.segment_lengths == pytest.approx(given)
+    lengths = (1.0, 1.0, factor if known else 1.0)
+    assert env.parameters.segment_lengths == pytest.approx(lengths)
     expected = 0.0 if known else abs(factor - 1)
     for seed in range(5):
         assert movement(env, seed).distances[-1] == pytest.approx(expected, abs=0.01)
@@ -88,9 +88,9 @@ def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint):
         target = env.reset(seed=seed)[1]["target"]
         nodes = node_positions(segments_from_joint_angles(joint_angles(env), (1.0,) * 3))
         start, elbow, hand = np.delete(nodes, joint, axis=0)  # the joints that are free, and it
-        one, other = np.linalg.norm(elbow - start), np.linalg.norm(hand - elbow)
+        upper, lower = np.linalg.norm(elbow - start), np.linalg.norm(hand - elbow)
         distance = np.linalg.norm(target - start)
-        assert abs(one - other) - 1e-8 <= distance <= one + other + 1e-8
+        assert abs(upper - lower) - 1e-8 <= distance <= upper + lower + 1e-8
         assert np.linalg.norm(target) <= 3 + 1e-8
 
 
@@ -249,8 +249,8 @@ def test_cursors_grow_add_up_and_are_seen_and_rewarded(task, perturbations, cent
 def test_what_begins_at_the_start_is_always_there_and_what_begins_later_is_not(name, engine):
     change = parse_change(name)
     always, timed, later, never = (
-        MMCReachEnv(perturbations=one, engine=engine, control="joint_torque")
-        for one in ([change], [Timed(change)], [Timed(change, at=0.2)], [])
+        MMCReachEnv(perturbations=changes, engine=engine, control="joint_torque")
+        for changes in ([change], [Timed(change)], [Timed(change, at=0.2)], [])
     )
     plain = name not in ("vision-noise", "clamp")  # no noise is drawn, no cursor shown without
     for seed in range(2):
@@ -272,7 +272,7 @@ def test_a_hidden_hand_repeats_where_it_was_last_seen(names, seen_at):
     env = MMCReachEnv(task="centre-out", perturbations=[names, "rotation-20"])
     interface, agent, state = ReachInterface.of(env), make_agent("mmc", env), None
     observation, info = env.reset(seed=0, options={"trial": 1})
-    hand, found, fastest = info["end_effector"], [], 0.0
+    hand, sightings, fastest = info["end_effector"], [], 0.0
     assert info["is_hand_seen"]
     last = info["cursor"]
     for step in range(1, 61):
@@ -282,11 +282,11 @@ def test_a_hidden_hand_repeats_where_it_was_last_seen(names, seen_at):
         fastest = max(fastest, speed)
         if info["is_hand_seen"]:
             last = info["cursor"]
-            found.append(step)
+            sightings.append(step)
             assert seen_at or speed < 0.05 * fastest
         np.testing.assert_allclose(interface.see(observation).hand, last, atol=1e-6)
         assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
-    assert len(found) == 1 if seen_at is None else found == seen_at
+    assert len(sightings) == 1 if seen_at is None else sightings == seen_at
 
 
 def test_the_target_is_in_reach_all_the_time():

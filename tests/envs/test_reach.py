@@ -28,7 +28,8 @@ SHAPES = {
     "force_field": lambda value: ((value, 0.0), (0.0, value)),
 }
 NUMBERS = ["control_weight", "precision_weight", "smoothness_weight", "success_distance"]
-NUMBERS += [one.name for one in fields(ArmParameters) if one.type == "float"] + [*SHAPES]
+NUMBERS += [field.name for field in fields(ArmParameters) if field.type == "float"]
+NUMBERS += [*SHAPES]
 STRENGTHS = [(name, "strength") for name in FAMILIES] + [("gain", "at"), ("gain", "over")]
 
 
@@ -50,8 +51,8 @@ def future(env, seed):
 @pytest.mark.parametrize("turns", [0, 1])  # whole ones do not matter
 def test_options_set_posture_and_target(turns, target):
     env, posture = MMCReachEnv(joint_limits=LIMITS), np.array([0.5, 1.0, 2.0])
-    given = posture + turns * math.tau * np.array([1, -1, 0])
-    observation, info = env.reset(options={"joint_angles": given, "target": target})
+    angles = posture + turns * math.tau * np.array([1, -1, 0])
+    observation, info = env.reset(options={"joint_angles": angles, "target": target})
     np.testing.assert_allclose(info["end_effector"], hand_of(posture), atol=1e-12)
     assert info["target"].tolist() == list(target)
     np.testing.assert_allclose(joint_angles(observation), posture, atol=1e-6)
@@ -260,9 +261,9 @@ def test_infos_have_a_dtype(name):
 def test_torchrl_registers_the_infos():
     gym_wrapper = pytest.importorskip("torchrl.envs").GymWrapper
     env = gym_wrapper(mmc_gym.make("random")).auto_register_info_dict()
-    played = env.rollout(3)["next"]
-    assert played["distance"].shape == played["is_success"].shape == (3,)
-    assert played["is_success"].dtype == torch.bool
+    steps = env.rollout(3)["next"]
+    assert steps["distance"].shape == steps["is_success"].shape == (3,)
+    assert steps["is_success"].dtype == torch.bool
 
 
 @pytest.mark.parametrize("make", [MMCReachEnv, MMCReachGoalEnv])
@@ -273,8 +274,8 @@ def test_success_ends_an_episode_if_asked_to_and_changes_nothing_before(make):
     action, ends = np.array([1.0, 0.1, -0.1], np.float32), []
     for _ in range(60):
         *_, info = expected = plain.step(action)
-        observation, reward, terminated, truncated, _ = found = ending.step(action)
-        assert same((*expected[:2], *expected[3:]), (observation, reward, *found[3:]))
+        observation, reward, terminated, truncated, _ = actual = ending.step(action)
+        assert same((*expected[:2], *expected[3:]), (observation, reward, *actual[3:]))
         assert (type(terminated), truncated, expected[2]) == (bool, False, False)
         assert terminated == info["is_success"]
         ends.append(terminated)

@@ -48,7 +48,7 @@ DAILY = {
 }
 every_case = pytest.mark.parametrize(
     ("name", "control"),
-    [pytest.param(*one, marks=() if one in DAILY else pytest.mark.slow) for one in CASES],
+    [pytest.param(*case, marks=() if case in DAILY else pytest.mark.slow) for case in CASES],
 )
 DISC = (1.5, 1.0, 0.25)
 
@@ -75,10 +75,10 @@ DISC = (1.5, 1.0, 0.25)
     ],
 )
 def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturbation):
-    one = parse_scenario(name)
-    assert one.name == full_name
-    assert one == parse_scenario(full_name)
-    (change,) = one.changes
+    scenario = parse_scenario(name)
+    assert scenario.name == full_name
+    assert scenario == parse_scenario(full_name)
+    (change,) = scenario.changes
     assert change == perturbation
     assert change.with_strength(change.strength) == change
     for perturbations in ([name], [change], [perturbation]):
@@ -95,7 +95,7 @@ def test_a_strength_is_exact():
 
 def test_help_lists_every_argument_with_its_default():
     single, vector = map(inspect.signature, (MMCReachEnv, MMCReachVectorEnv))
-    arm = {one.name: one.default for one in fields(ArmParameters)}
+    arm = {field.name: field.default for field in fields(ArmParameters)}
     for signature in (single, vector):
         assert arm.items() <= {k: v.default for k, v in signature.parameters.items()}.items()
     assert list(single.parameters)[:3] == ["control", "reward_type", "control_weight"]
@@ -137,27 +137,27 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint, tmp_
     ],
 )
 def test_a_task_and_perturbations_together_have_one_name(name, full_name, task, family, strength):
-    one = parse_scenario(name)
-    assert (one.name, one.family, one.strength) == (full_name, family, strength)
-    assert one.task is TASKS[task]
-    assert one == parse_scenario(full_name)
-    parts = map(parse_scenario, one.name.split("+"))
-    assert one.description == "; ".join(part.description for part in parts)
-    assert one.settings["baseline"] == (task if family else None)
-    setup, vector = one.make().unwrapped.setup, one.make_vec(2).setup
+    scenario = parse_scenario(name)
+    assert (scenario.name, scenario.family, scenario.strength) == (full_name, family, strength)
+    assert scenario.task is TASKS[task]
+    assert scenario == parse_scenario(full_name)
+    parts = map(parse_scenario, scenario.name.split("+"))
+    assert scenario.description == "; ".join(part.description for part in parts)
+    assert scenario.settings["baseline"] == (task if family else None)
+    setup, vector = scenario.make().unwrapped.setup, scenario.make_vec(2).setup
     assert setup.task is TASKS[task].task
-    perturbations = one.changes
+    perturbations = scenario.changes
     assert setup.episodes.changes == vector.episodes.changes == perturbations
 
 
 def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
     name, arguments = "pursuit+rotation-45", {"control": "joint_velocity", "max_episode_steps": 9}
-    one = mmc_gym.make(name, render_mode="rgb_array", **arguments)
-    assert one.spec.id == "MMCReachPursuit-v0"
-    assert (one.spec.max_episode_steps, one.unwrapped.render_mode) == (9, "rgb_array")
+    env = mmc_gym.make(name, render_mode="rgb_array", **arguments)
+    assert env.spec.id == "MMCReachPursuit-v0"
+    assert (env.spec.max_episode_steps, env.unwrapped.render_mode) == (9, "rgb_array")
     assert mmc_gym.make(name).spec.max_episode_steps == 500
-    assert one.unwrapped.setup.episodes.changes == (kinds.VisuomotorRotation(45.0),)
-    assert one.unwrapped.setup.caption == "pursuit, rotation-45"
+    assert env.unwrapped.setup.episodes.changes == (kinds.VisuomotorRotation(45.0),)
+    assert env.unwrapped.setup.caption == "pursuit, rotation-45"
     native, sync = (mmc_gym.make_vec(name, 3, vectorization_mode=m) for m in (None, "sync"))
     assert isinstance(native, MMCReachVectorEnv)
     assert isinstance(sync, gym.vector.SyncVectorEnv)
@@ -180,7 +180,7 @@ def test_what_a_name_sets_is_no_argument():
 
 def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar():
     assert {*IDS} == {"MMCReachGoal-v0", *map(environment_id, TASKS)}  # perturbations have none
-    assert all(parse_scenario(name) == one for name, one in SCENARIOS.items())
+    assert all(parse_scenario(name) == scenario for name, scenario in SCENARIOS.items())
     assert find_scenarios([]) == SCENARIOS
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
 
@@ -250,8 +250,8 @@ def test_same_seed_and_actions_give_the_same_episodes_in_copies_too(env):
     assert same(first, rollout(other, actions, seed=7))
     assert not same(first, rollout(other, actions, seed=8))
     begun = rollout(env, actions[:30], seed=7)  # after episodes of its own, too
-    for one in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env), env):
-        assert same(first, [*begun, *rollout(one, actions[30:])])
+    for copied in (pickle.loads(pickle.dumps(env)), copy.deepcopy(env), env):
+        assert same(first, [*begun, *rollout(copied, actions[30:])])
 
 
 @every_case

@@ -55,9 +55,9 @@ def gray(image, point, size=5):
     return image[y - size : y + size + 1, x - size : x + size + 1].mean(axis=-1)
 
 
-def differ(one, other, point, size=5):
+def differ(first, second, point, size=5):
     """Whether pictures differ near a point of the world, were there no colour."""
-    return bool(np.abs(gray(one, point, size) - gray(other, point, size)).max() > 30)
+    return bool(np.abs(gray(first, point, size) - gray(second, point, size)).max() > 30)
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 320), (480, 240), (100, 300)])
@@ -78,11 +78,11 @@ def test_pictures_are_new_arrays_and_need_a_mode_but_no_display():
     env, unseen = make(), make(None)
     env.reset(seed=0)
     frame = env.render()
-    kept = frame.copy()
+    before = frame.copy()
     assert (frame.shape, frame.dtype) == ((640, 640, 3), np.uint8)
     env.step(np.ones(3, np.float32))
-    assert not np.array_equal(env.render(), kept)
-    np.testing.assert_array_equal(frame, kept)
+    assert not np.array_equal(env.render(), before)
+    np.testing.assert_array_equal(frame, before)
     with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
         assert unseen.unwrapped.render() is None
     env.close()
@@ -182,9 +182,9 @@ def test_arrows_turn_as_the_field_bends():
     """Upside down, a field's arrows are the opposite field's."""
     fields = [setup_of(perturbations=[name]) for name in ("force-field-9", "force-field--9")]
     # An arm that is the same upside down; the caption is above.
-    one, other = (picture([0.0] * 3, FAR, setup)[60:-60] for setup in fields)
-    assert np.abs(one - other).max() > 30
-    assert np.abs(one - other[::-1]).mean() < 0.5 * np.abs(one - other).mean()
+    image, opposite = (picture([0.0] * 3, FAR, setup)[60:-60] for setup in fields)
+    assert np.abs(image - opposite).max() > 30
+    assert np.abs(image - opposite[::-1]).mean() < 0.5 * np.abs(image - opposite).mean()
 
 
 def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target():
@@ -192,7 +192,7 @@ def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target():
     assert differ(picture([0.0] * 3, FAR, setup), picture([0.0] * 3), (0.0, 3.0))
     # Within the success distance a second ring is painted, of the cursor and not of the hand.
     near = (0.0, 2.97), (0.0, 2.9), (2.97, 0.0)
-    dark = [(gray(picture([0.0] * 3, one, setup), one, 16) < 150).sum() for one in near]
+    dark = [(gray(picture([0.0] * 3, place, setup), place, 16) < 150).sum() for place in near]
     assert dark[0] > dark[1] + 20
 
 
@@ -211,7 +211,7 @@ def test_every_perturbation_can_be_seen(names):
         for _ in range(12):
             env.step(np.full(3, 0.4, np.float32))
         pictures.append(env.render()[40:].astype(int))  # below the caption
-    assert all(np.abs(one - pictures[0]).max() > 30 for one in pictures[1:])
+    assert all(np.abs(image - pictures[0]).max() > 30 for image in pictures[1:])
 
 
 def test_what_is_drawn_as_sensed_is_what_the_agent_observes(monkeypatch):

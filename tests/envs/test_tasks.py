@@ -149,7 +149,7 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(lengths):
     inner, outer = reachable_radii(lengths)
     area = (x**2 + y**2 - inner**2) / (outer**2 - inner**2)
     angle = (np.arctan2(y, x) + math.pi) / math.tau
-    assert min(stats.kstest(one, "uniform").pvalue for one in (area, angle)) > 0.01
+    assert min(stats.kstest(share, "uniform").pvalue for share in (area, angle)) > 0.01
     assert abs(np.corrcoef(area, angle)[0, 1]) < 4 / math.sqrt(5_000)
 
 

@@ -124,10 +124,9 @@ def test_it_returns_what_single_environments_return(name, arguments, mode, engin
     sync = mmc_gym.make_vec(name, COUNT, **arguments)
 
     def reset_both(mask, seed=None):
-        first, second = (
-            one.reset(seed=seed, options={"reset_mask": mask.copy()}) for one in (native, sync)
-        )
-        return same(first, second)
+        masks = {"reset_mask": mask.copy()}, {"reset_mask": mask.copy()}
+        first = native.reset(seed=seed, options=masks[0])
+        return same(first, sync.reset(seed=seed, options=masks[1]))
 
     assert native.observation_space == sync.observation_space
     assert native.action_space == sync.action_space
@@ -177,12 +176,12 @@ def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine):
     count, steps = 600, 25  # more than one Space of arms, and enough for two threads
     many = make_native("random", count, engine=engine, threads=2, max_episode_steps=10)
     few = make_native("random", 3, engine=engine, max_episode_steps=10)
-    chosen = [0, 77, 599]
-    first, second = many.reset(seed=0), few.reset(seed=chosen)
+    rows = [0, 77, 599]
+    first, second = many.reset(seed=0), few.reset(seed=rows)
     for action in random_actions(many, steps):
-        assert same(first[0][chosen], second[0])
-        first, second = many.step(action), few.step(action[chosen])
-        assert same(first[1][chosen], second[1])
+        assert same(first[0][rows], second[0])
+        first, second = many.step(action), few.step(action[rows])
+        assert same(first[1][rows], second[1])
     many.close()
 
 
@@ -215,17 +214,18 @@ def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused(m
 
 def test_attributes_of_its_arms_are_those_of_single_environments(engine):
     """`get_attr`, `set_attr`, `call` and the seeds, as the vectors of Gymnasium have them."""
-    made = {"engine": engine, "perturbations": "rotation--60..60"}
-    native = mmc_gym.make_vec("random", 3, **made)
-    sync = mmc_gym.make_vec("random", 3, vectorization_mode="sync", **made)
+    arguments = {"engine": engine, "perturbations": "rotation--60..60"}
+    native = mmc_gym.make_vec("random", 3, **arguments)
+    sync = mmc_gym.make_vec("random", 3, vectorization_mode="sync", **arguments)
     for vector in (native, sync):
         vector.reset(seed=4)
     names = ["reach", "control", "engine", "success_distance", "context", "np_random_seed"]
     names += ["context_size", "perturbations", "parameters", "action_space", "observation_space"]
     for name in names:
         assert native.get_attr(name) == native.call(name) == sync.get_attr(name), name
-    states = [[one.bit_generator.state for one in each.np_random] for each in (native, sync)]
-    assert native.np_random_seed == sync.np_random_seed == (4, 5, 6) and states[0] == states[1]
+    for first, second in zip(native.np_random, sync.np_random, strict=True):
+        assert first.bit_generator.state == second.bit_generator.state
+    assert native.np_random_seed == sync.np_random_seed == (4, 5, 6)
     native.reset(seed=[None, 9, None])
     assert native.np_random_seed == (4, 9, 6)
     for vector in (native, sync):
@@ -247,8 +247,8 @@ def test_its_spec_has_its_number_of_steps():
 
 @pytest.mark.parametrize("mode", [*AutoresetMode])
 def test_a_mode_of_autoreset_is_given_by_member_name_or_value(mode):
-    for given in (mode, mode.name, mode.value):
-        assert make_native(autoreset_mode=given).metadata["autoreset_mode"] is mode
+    for form in (mode, mode.name, mode.value):
+        assert make_native(autoreset_mode=form).metadata["autoreset_mode"] is mode
 
 
 def test_copies_are_refused():
