@@ -85,17 +85,17 @@ def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
     make = partial(gym.make_vec, "MMCReach-v0", count, **shown)
     envs = [make(**options) for options in WORLDS[world]]
     agent, together = make_agent(name, envs[0]), None
-    observations = np.concatenate([one.reset(seed=60_000)[0] for one in envs])
+    observations = np.concatenate([vector.reset(seed=60_000)[0] for vector in envs])
     batches = [*(range(len(observations)) if count == 1 else (2, 5)), [8, 2, 0, 3]]
     states = [None] * len(batches)
     for _ in range(40):
         actions, together = agent.predict(observations, together, deterministic=True)
         for place, batch in enumerate(batches):
-            some, states[place] = agent.predict(observations[batch], states[place], None, True)
+            alone, states[place] = agent.predict(observations[batch], states[place], None, True)
             most = 4e-6 if AGENTS[name].knowledge.kind == "learned" else 0
-            np.testing.assert_allclose(some, actions[batch], rtol=0, atol=most)
+            np.testing.assert_allclose(alone, actions[batch], rtol=0, atol=most)
         parts = np.split(actions, len(envs))
-        moved = [one.step(part)[0] for one, part in zip(envs, parts, strict=True)]
+        moved = [vector.step(part)[0] for vector, part in zip(envs, parts, strict=True)]
         observations = np.concatenate(moved)
 
 
@@ -110,7 +110,7 @@ def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name, late
     assert not np.array_equal(fresh[1], resumed[1])
     restarted, state = predict(observations, state, [False, True, False])
     np.testing.assert_array_equal(restarted, [resumed[0], fresh[1], resumed[2]])
-    after = [predict(observations, one)[0] for one in (state, fresh_state)]
+    after = [predict(observations, memory)[0] for memory in (state, fresh_state)]
     np.testing.assert_array_equal(after[0][1], after[1][1])
 
 
@@ -149,7 +149,7 @@ def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_contr
     """No agent searches for ways round: targets that are missed are behind an obstacle."""
     least = {"mmc-bell": 0.45, "mmc-classical": 0.2, "optimal-control": 0.6}.get(name, 0.7)
     controls = ("joint_delta", "joint_position")
-    rates = [success_rate(name, 50, control=one, joint_limits=LIMITS) for one in controls]
+    rates = [success_rate(name, 50, control=control, joint_limits=LIMITS) for control in controls]
     assert min(rates) >= least
     assert abs(rates[0] - rates[1]) <= 0.06
 
@@ -182,12 +182,12 @@ def test_a_state_of_another_agent_or_of_other_arms_is_an_error(name):
     others = [make_agent(other, env) for other in WITH_STATES if other != name]
     many = np.stack([observation] * 4)
     _, state = agent.predict(many)
-    wrong = [state, *(one.predict(observation)[1] for one in others)]
+    wrong = [state, *(other.predict(observation)[1] for other in others)]
     if name != "ppo-memory":  # trained for three segments
         wrong.append(make_agent(name, longer).predict(longer.reset(seed=0)[0])[1])
-    for one in (*wrong, "abc", 3, {"posture": 1}, [0.1, 0.2, 0.3], np.zeros((7, 5))):
+    for memory in (*wrong, "abc", 3, {"posture": 1}, [0.1, 0.2, 0.3], np.zeros((7, 5))):
         with pytest.raises(UserError, match="state must be what predict returned for this agent"):
-            agent.predict(observation, one)
+            agent.predict(observation, memory)
     with pytest.raises(UserError, match="state must be what predict returned for this agent"):
         agent.predict(many[:3], state)
     assert agent.predict(many[:0])[0].shape == (0, 3)
@@ -258,7 +258,7 @@ def test_stable_baselines3_evaluates_them():
 def test_what_is_drawn_at_random_is_the_same_at_every_run(name, env):
     observation, _ = env.reset(seed=0)
     agents = make_agent(name, env), make_agent(name, env)
-    drawn, again = ([one.predict(observation)[0] for _ in range(3)] for one in agents)
+    drawn, again = ([agent.predict(observation)[0] for _ in range(3)] for agent in agents)
     np.testing.assert_array_equal(drawn, again)
     assert not np.array_equal(drawn[0], drawn[1])
 

@@ -68,13 +68,13 @@ BODIES = {
 def test_the_body_is_identified_from_hand_and_posture(body):
     lengths, angle, shift, _ = BODIES[body]
     *_, evidence = observed(*BODIES[body], mirrors=body.startswith("mirrored"))
-    found = evidence.best
-    is_right = np.abs(found.turn - np.exp(1j * angle)) < 0.02
+    identified = evidence.best
+    is_right = np.abs(identified.turn - np.exp(1j * angle)) < 0.02
     if body.startswith("mirrored"):
-        is_right &= found.is_mirrored
+        is_right &= identified.is_mirrored
     else:
-        is_right &= np.abs(found.lengths - lengths).max(axis=-1) < 0.02
-        is_right &= np.abs(found.shift - shift) < 0.05
+        is_right &= np.abs(identified.lengths - lengths).max(axis=-1) < 0.02
+        is_right &= np.abs(identified.shift - shift) < 0.05
     assert is_right.mean() >= 0.9
 
 
@@ -196,7 +196,7 @@ def test_a_hand_that_is_seen_late_changes_no_length(late):
 
 
 def test_noise_of_the_joints_is_neither_a_delay_nor_a_change():
-    states = [one for _, one in moments(mmc_body, "joint-noise-0.05", 40, 60, seed=5)]
+    states = [state for _, state in moments(mmc_body, "joint-noise-0.05", 40, 60, seed=5)]
     assert not states[-1].senses.delay.late.any()
     assert np.mean([state.evidence.change.is_on for state in states]) < 0.06
 
@@ -223,8 +223,8 @@ def test_a_lock_is_identified_sooner_if_it_is_given_and_a_false_one_freed():
     locked = locks_after([held] * 8 + [free] * 3, commanded=(0.1, 0.1, 0.0))
     assert locked[7].tolist() == [True, False, False] and not locked[-1].any()
     held, commanded = [np.array([[0.1, 0.0, 0.0]])] * 20, (0.05, 0.05, 0.05)
-    given, identified = (locks_after(held, commanded, lockable) for lockable in ((1,), ()))
-    assert 20 > given[:, 1].sum() > identified[:, 1].sum() > 0
+    with_knowledge, without = (locks_after(held, commanded, lockable) for lockable in ((1,), ()))
+    assert 20 > with_knowledge[:, 1].sum() > without[:, 1].sum() > 0
 
 
 HELD = np.array([[0.05, 0.0, -0.25]])
@@ -309,8 +309,8 @@ def episodes(build, count=50, parts=ALL_PARTS, id="MMCReach-v0", **arguments):
     return list(run_episodes(agent, envs.unwrapped, episode_seeds(4, count), records_effort=False))
 
 
-def success(played):
-    return np.mean([episode.distances[-1] <= episode.tolerance for episode in played])
+def success(movements):
+    return np.mean([episode.distances[-1] <= episode.tolerance for episode in movements])
 
 
 @pytest.mark.parametrize(
@@ -330,7 +330,7 @@ def test_most_arms_reach_their_target(build, parts, perturbation, least):
 def actions_of(parts, perturbations, control):
     """Actions of an agent of these parts in 10 arms, (steps, arms, 3)."""
     options = {"control": control, "parts": parts, "engine": "analytic"}
-    return np.array([one for one, _ in moments(ik_body, perturbations, 10, 80, 2, **options)])
+    return np.array([action for action, _ in moments(ik_body, perturbations, 10, 80, 2, **options)])
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta"])
@@ -395,10 +395,10 @@ def test_a_moving_target_is_followed(build, vigour):
     [([], 0.95), ("rotation-60", 0.95), ("delay-200", 0.95), ("locked-2", 0.6)],
 )
 def test_without_vigour_the_hand_moves_as_people_do(perturbations, single_peaks):
-    played = episodes(mmc_body, 100, Parts(vigour=0.0), perturbations=perturbations)
-    assert success(played) >= 0.99
-    assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
-    assert np.mean([velocity_peaks(one) == 1 for one in played]) >= single_peaks
+    movements = episodes(mmc_body, 100, Parts(vigour=0.0), perturbations=perturbations)
+    assert success(movements) >= 0.99
+    assert np.median([minimum_jerk_correlation(movement) for movement in movements]) >= 0.95
+    assert np.mean([velocity_peaks(movement) == 1 for movement in movements]) >= single_peaks
 
 
 def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
@@ -409,8 +409,8 @@ def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
     start = PostureTrack.start(angles, speeds)
     turn = 0.02 * speeds
     many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, DELTA)
-    one = PostureTrack.start(angles[:1], speeds[:1])
-    alone = one.filter(after[:1], speeds[-1:], turn[:1], DELTA)
+    single = PostureTrack.start(angles[:1], speeds[:1])
+    alone = single.filter(after[:1], speeds[-1:], turn[:1], DELTA)
     np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
     aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
     is_within = np.abs(aims) < 2.9

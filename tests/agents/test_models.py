@@ -92,8 +92,8 @@ def test_an_own_part_of_a_model_belongs_to_it_with_its_module(tmp_path, monkeypa
     code = "from stable_baselines3.common.torch_layers import FlattenExtractor\n"
     code += "class Own(FlattenExtractor): pass\n"
     (tmp_path / "own_extractor.py").write_text(code)
-    own = importlib.import_module("own_extractor").Own
-    policy = {"net_arch": [4], "features_extractor_class": own}
+    extractor = importlib.import_module("own_extractor").Own
+    policy = {"net_arch": [4], "features_extractor_class": extractor}
     model = PPO("MlpPolicy", "MMCReach-v0", device="cpu", **{**TINY, "policy_kwargs": policy})
     model.save(tmp_path / "saved")
 
@@ -180,8 +180,8 @@ def test_a_model_acts_in_the_control_mode_of_its_training_alone(model):
     other = gym.make("MMCReach-v0", control="joint_torque")
     with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
         make_agent(model, other)
-    found = compare({"object": model, "mmc": "mmc"}, episodes=1)
-    assert found.controls == {"object": CONTROL, "mmc": "joint_delta"}
+    comparison = compare({"object": model, "mmc": "mmc"}, episodes=1)
+    assert comparison.controls == {"object": CONTROL, "mmc": "joint_delta"}
 
 
 def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(folder, tmp_path):
@@ -189,8 +189,8 @@ def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(fold
     default = "does not declare the control mode .* acts by joint_delta, the environment's default"
 
     def control_of(source, **arguments):
-        found = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)
-        return found.controls["mine"]
+        comparison = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)
+        return comparison.controls["mine"]
 
     trained().save(tmp_path / "plain")
     for source in (bare, lambda env: PPO.load(tmp_path / "plain", device="cpu")):
@@ -253,9 +253,9 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
         "sb3": VecFrameStack(make_vec_env("MMCReach-v0", 1), 2),
     }
     models = {label: PPO("MlpPolicy", venv, **TINY) for label, venv in wrapped.items()}
-    found = compare({**models, "mmc": "mmc"}, episodes=2, wrapper=stacked)
+    comparison = compare({**models, "mmc": "mmc"}, episodes=2, wrapper=stacked)
     # Each acts as stable-baselines3 itself lets it.
-    seed = int(found.episodes["seed"].iloc[0])
+    seed = int(comparison.episodes["seed"].iloc[0])
     for label, model in models.items():
         env = model.get_env()
         env.seed(seed)
@@ -263,7 +263,7 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
         for _ in range(99):
             observation, _, _, infos = env.step(model.predict(observation, deterministic=True)[0])
         expected = infos[0]["end_effector"]
-        np.testing.assert_allclose(found.recorded[label][0].hands[99], expected, atol=1e-4)
+        np.testing.assert_allclose(comparison.recorded[label][0].hands[99], expected, atol=1e-4)
     # In an experiment, as wrapped by hand; the wrapper belongs to the settings.
     learned = run_experiment(TWO_TRIALS, {"sb3": models["sb3"]}, subjects=1, wrapper=stacked)
     trial = learned.trials.iloc[0]
@@ -283,7 +283,7 @@ def test_a_model_behind_wrappers_acts_behind_yours(tmp_path, monkeypatch):
         assert (run.not_played, run.reused) == ([], reused)
     episodes = pd.read_parquet(tmp_path / "store" / "episodes")
     hands = episodes[episodes["agent"] == "sb3"].sort_values("instance")["final_distance"]
-    expected = found.episodes[found.episodes["agent"] == "sb3"]["final_distance"]
+    expected = comparison.episodes[comparison.episodes["agent"] == "sb3"]["final_distance"]
     np.testing.assert_allclose(hands, expected)
     resolved = resolve_all(["sb3.zip"], wrapper=stacked, allow_pickle=True)[0].fingerprint
     assert resolved not in (None, resolve("sb3.zip").fingerprint)
@@ -297,11 +297,11 @@ def test_a_model_with_a_memory_is_compared_in_the_same_memory(tmp_path):
     arms = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
     model = PPO("MlpPolicy", VecNormalize(Memory(GymnasiumVecEnv(arms), [1, 2])), **TINY).learn(16)
     model.save(tmp_path / "file")
-    given = {"episodes": 1, "wrapper": {"file": remembering}, "allow_pickle": True}
-    given["env_kwargs"] = {"control": "joint_delta"}
-    given["statistics"] = {"file": model.get_env()}
-    found = compare({"object": model, "file": tmp_path / "file"}, **given)
-    hands = [found.recorded[label][0].hands for label in ("object", "file")]
+    arguments = {"episodes": 1, "wrapper": {"file": remembering}, "allow_pickle": True}
+    arguments["env_kwargs"] = {"control": "joint_delta"}
+    arguments["statistics"] = {"file": model.get_env()}
+    comparison = compare({"object": model, "file": tmp_path / "file"}, **arguments)
+    hands = [comparison.recorded[label][0].hands for label in ("object", "file")]
     np.testing.assert_array_equal(*hands)
     # As stable-baselines3 lets it act in its own environment.
     env, seen = remembering(gym.make("MMCReach-v0")), []
@@ -322,13 +322,13 @@ def test_a_model_that_observed_the_context_is_shown_it(tmp_path):
     model = PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1, env_kwargs=drawn), **TINY)
     model.save(tmp_path / "file")
     shown = {"observe_context": "rotation--60..60"}
-    found = compare({"object": model, "mmc": "mmc"}, "rotation-30", episodes=1)
+    comparison = compare({"object": model, "mmc": "mmc"}, "rotation-30", episodes=1)
     with pytest.raises(CannotActError, match="trained with the context say --env-kwargs obs"):
         compare([tmp_path / "file"], "rotation-30", episodes=1, allow_pickle=True)
-    given = {"env_kwargs": {**shown, "control": "joint_delta"}, "allow_pickle": True}
-    other = compare({"file": tmp_path / "file"}, "rotation-30", episodes=1, **given)
+    arguments = {"env_kwargs": {**shown, "control": "joint_delta"}, "allow_pickle": True}
+    other = compare({"file": tmp_path / "file"}, "rotation-30", episodes=1, **arguments)
     np.testing.assert_array_equal(
-        found.recorded["object"][0].hands, other.recorded["file"][0].hands
+        comparison.recorded["object"][0].hands, other.recorded["file"][0].hands
     )
 
 
@@ -395,7 +395,7 @@ def test_a_model_for_goals_is_told_where_it_can_play(env):
 def test_a_warning_of_a_model_shows_the_line_of_the_user(folder):
     with pytest.warns(MismatchWarning, match="does not declare the control mode") as caught:
         compare([folder / "model.zip"], episodes=1, allow_pickle=True)
-    assert [one.filename for one in caught] == [__file__]
+    assert [warning.filename for warning in caught] == [__file__]
 
 
 EACH = {"PPO": PPO, "A2C": A2C, "SAC": SAC, "TD3": TD3, "DDPG": DDPG, "TQC": TQC, "TRPO": TRPO}
@@ -425,10 +425,10 @@ def test_every_algorithm_plays_the_same_as_object_file_and_folder(name, is_norma
     for path in (tmp_path / "alone", tmp_path / "of_zoo" / env_id):
         model.save(f"{path}.zip")
     (inside / "config.yml").write_text("")
-    given = {}
+    statistics = {}
     if is_normalized:
         envs.save(str(inside / "vecnormalize.pkl"))
-        given = {name: inside / "vecnormalize.pkl" for name in ("loaded", "file")}
+        statistics = {name: inside / "vecnormalize.pkl" for name in ("loaded", "file")}
     fresh = make_vec_env(env_id, 1) if name == "HER" else None
     models = {
         "object": model,
@@ -438,11 +438,11 @@ def test_every_algorithm_plays_the_same_as_object_file_and_folder(name, is_norma
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MismatchWarning)  # of control modes
-        found = compare(models, env_id, episodes=2, allow_pickle=True, statistics=given)
-    expected = found.recorded["object"]
+        comparison = compare(models, env_id, episodes=2, allow_pickle=True, statistics=statistics)
+    expected = comparison.recorded["object"]
     for label in models:
-        for one, other in zip(expected, found.recorded[label], strict=True):
-            np.testing.assert_array_equal(one.hands, other.hands)
+        for episode, other in zip(expected, comparison.recorded[label], strict=True):
+            np.testing.assert_array_equal(episode.hands, other.hands)
 
 
 def test_what_is_no_model_is_an_error_of_the_user(tmp_path):
@@ -460,18 +460,18 @@ def test_what_is_no_model_is_an_error_of_the_user(tmp_path):
 
 def test_several_trainings_are_one_agent_with_intervals_over_both(tmp_path):
     models = [trained(seed) for seed in (4, 2)]
-    for seed, one in enumerate(models):
-        one.save(tmp_path / f"mine-{seed}")
+    for seed, model in enumerate(models):
+        model.save(tmp_path / f"mine-{seed}")
     pattern = f"{tmp_path}/mine-*"
     both = resolve_all([pattern], allow_pickle=True)
-    assert [(one.label, one.training_seed) for one in both] == [("mine", 4), ("mine", 2)]
-    given = {"episodes": 3, "env_kwargs": {"control": CONTROL}}
-    listed = compare({"mine": models}, **given)
-    found = compare([pattern], allow_pickle=True, **given)
-    assert found.trainings["mine"] == 2 and "mine (2)" in found.note
-    mine = found.summary.query("agent == 'mine' and measure == 'final_distance'").iloc[0]
+    assert [(agent.label, agent.training_seed) for agent in both] == [("mine", 4), ("mine", 2)]
+    arguments = {"episodes": 3, "env_kwargs": {"control": CONTROL}}
+    listed = compare({"mine": models}, **arguments)
+    comparison = compare([pattern], allow_pickle=True, **arguments)
+    assert comparison.trainings["mine"] == 2 and "mine (2)" in comparison.note
+    mine = comparison.summary.query("agent == 'mine' and measure == 'final_distance'").iloc[0]
     assert mine["count"] == 6 and mine["low"] < mine["estimate"] < mine["high"]
-    assert found.to_frame()["final_distance"].equals(listed.to_frame()["final_distance"])
+    assert comparison.to_frame()["final_distance"].equals(listed.to_frame()["final_distance"])
 
 
 def test_a_control_mode_that_is_asked_for_is_that_of_agents_that_act_by_several():

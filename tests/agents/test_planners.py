@@ -137,8 +137,8 @@ def test_the_jacobian_is_taken_apart_as_by_the_singular_value_decomposition(kind
     effects *= kind != "none"
     (x, y), moves, rows = (np.moveaxis(part, 1, 0) for part in oc.turned_joints(effects))
     columns = np.array([[x, -y], [y, x]])
-    found = np.einsum("ijn,jn,jnk->nik", columns, moves, rows)
-    np.testing.assert_allclose(found, effects, atol=1e-12)
+    product = np.einsum("ijn,jn,jnk->nik", columns, moves, rows)
+    np.testing.assert_allclose(product, effects, atol=1e-12)
     expected = np.linalg.svd(effects, compute_uv=False)
     np.testing.assert_allclose(np.sort(moves, axis=0)[::-1].T, expected, atol=1e-9)
 
@@ -179,7 +179,7 @@ def success(perturbation, delay=0.0):
     env = gym.make_vec("MMCReach-v0", 50, control="joint_velocity", perturbations=perturbation)
     agent = oc.OptimalControlAgent(ReachInterface.of(env), oc.Assumptions(delay=delay))
     episodes = run_episodes(agent, env, range(50), records_effort=False)
-    return np.mean([one.distances[-1] < one.tolerance for one in episodes])
+    return np.mean([episode.distances[-1] < episode.tolerance for episode in episodes])
 
 
 def test_locked_joints_and_senses_that_are_known_to_be_late_do_little_harm():

@@ -247,8 +247,8 @@ def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():
     before = history.recall(history.observed(seen[0]), history.start(seen[0]))
     np.testing.assert_allclose(before, 0.0, atol=1e-6)
     memory, action = history.start(seen[0]), np.full(3, 0.5, np.float32)
-    for one in seen[:-1]:
-        memory = history.extended(history.observed(one, memory), action, memory)
+    for observation in seen[:-1]:
+        memory = history.extended(history.observed(observation, memory), action, memory)
     recalled = history.recall(history.observed(seen[-1], memory), memory).reshape(3, 10)
     angles = np.unwrap(np.arctan2(seen[:, 3:6], seen[:, :3]), axis=0)
     np.testing.assert_allclose(recalled[0, :3], angles[-2] - angles[-1], atol=1e-5)

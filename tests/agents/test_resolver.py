@@ -48,31 +48,31 @@ def folder(tmp_path, monkeypatch):
 
 
 def read(*names, **options):
-    found = resolve_all(names, **options)
-    return [(one.label, one.training_seed, one.source) for one in found]
+    agents = resolve_all(names, **options)
+    return [(agent.label, agent.training_seed, agent.source) for agent in agents]
 
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
-    found, entry = resolve(name), AGENTS[name]
-    assert (found.label, found.name, found.entry) == (name, name, entry)
+    agent, entry = resolve(name), AGENTS[name]
+    assert (agent.label, agent.name, agent.entry) == (name, name, entry)
     source, seed = (f"{name}-0", 0) if entry.training_seeds else (name, None)
-    assert (found.source, found.training_seed) == (source, seed)
-    assert found.knowledge == entry.knowledge  # of policies, as the card has it
-    assert entry.control == found.control == (found.card or entry).control
+    assert (agent.source, agent.training_seed) == (source, seed)
+    assert agent.knowledge == entry.knowledge  # of policies, as the card has it
+    assert entry.control == agent.control == (agent.card or entry).control
 
 
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
 def test_a_policy_is_resolved_by_its_path_whatever_that_is(folder, suffix):
-    found = resolve(f"lr=0.001/mine.{suffix}")
-    found.check()
-    assert (found.label, found.source) == ("mine", f"lr=0.001/mine.{suffix}")
-    assert (found.name, found.training_seed, found.entry) == ("", 3, None)
-    assert found.knowledge.kind == "yours"
-    assert found.knowledge.senses == AGENTS["ppo"].knowledge.senses
+    agent = resolve(f"lr=0.001/mine.{suffix}")
+    agent.check()
+    assert (agent.label, agent.source) == ("mine", f"lr=0.001/mine.{suffix}")
+    assert (agent.name, agent.training_seed, agent.entry) == ("", 3, None)
+    assert agent.knowledge.kind == "yours"
+    assert agent.knowledge.senses == AGENTS["ppo"].knowledge.senses
     shipped = resolve("ppo-3")
-    assert found.fingerprint == shipped.fingerprint == load_policy(shipped.policy)[1].sha256
-    assert make_agent(found.source, gym.make("MMCReach-v0")).card == found.card
+    assert agent.fingerprint == shipped.fingerprint == load_policy(shipped.policy)[1].sha256
+    assert make_agent(agent.source, gym.make("MMCReach-v0")).card == agent.card
     with pytest.raises(FileNotFoundError, match="ppo-7"):
         resolve_all([f"x=gone/ppo-7.{suffix}"])
 
@@ -101,23 +101,23 @@ def test_a_mapping_gives_labels_and_several_trainings(folder, oracle, frozen):
         return frozen
 
     env = gym.make("MMCReach-v0")
-    made = {one.label: one for one in resolve_all([oracle, thaw, "random", "x=mmc"])}
-    assert list(made) == ["Oracle", "thaw", "random", "x"]
-    assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
-    found = resolve_all({"a": [oracle, frozen], "b": "runs/mine-*", "c": "mmc"})
+    by_label = {agent.label: agent for agent in resolve_all([oracle, thaw, "random", "x=mmc"])}
+    assert list(by_label) == ["Oracle", "thaw", "random", "x"]
+    assert (by_label["Oracle"].factory(env), by_label["thaw"].factory(env)) == (oracle, frozen)
+    agents = resolve_all({"a": [oracle, frozen], "b": "runs/mine-*", "c": "mmc"})
     expected = [("a", 0), ("a", 1), ("b", 1), ("b", 2), ("c", None)]
-    assert [(one.label, one.training_seed) for one in found] == expected
+    assert [(agent.label, agent.training_seed) for agent in agents] == expected
 
 
 def test_a_resolved_agent_travels_with_its_fingerprint_and_is_read_anew(folder):
-    found = resolve("x=my_agents:Still")
-    assert (found.source, found.training_seed) == ("my_agents:Still", None)
-    assert (found.knowledge, found.card) == (UNKNOWN, None)
-    before = found.fingerprint
-    found.check()
+    agent = resolve("x=my_agents:Still")
+    assert (agent.source, agent.training_seed) == ("my_agents:Still", None)
+    assert (agent.knowledge, agent.card) == (UNKNOWN, None)
+    before = agent.fingerprint
+    agent.check()
     (folder / "my_agents.py").write_text(f"{OWN}# changed")
     assert resolve("my_agents:Still").fingerprint != before
-    travelled = pickle.loads(pickle.dumps(found))
+    travelled = pickle.loads(pickle.dumps(agent))
     assert (travelled.label, travelled.fingerprint) == ("x", before)
     assert "factory" not in vars(travelled)
     assert travelled.factory(gym.make("MMCReach-v0")).size == 3
@@ -138,11 +138,11 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatc
 
 
 def test_the_steps_of_a_training_are_known_or_none(folder, frozen):
-    found = resolve_all(["ppo-3", "mmc", REFERENCE, frozen, "runs/mine-9.json", "my_agents:Still"])
-    steps = [one.training_steps for one in found]
-    assert steps == [load_policy(found[0].policy)[1].training_steps, 0, 0, None, steps[0], None]
+    agents = resolve_all(["ppo-3", "mmc", REFERENCE, frozen, "runs/mine-9.json", "my_agents:Still"])
+    steps = [agent.training_steps for agent in agents]
+    assert steps == [load_policy(agents[0].policy)[1].training_steps, 0, 0, None, steps[0], None]
     with pytest.raises(CannotActError, match="a hand without an arm"):
-        found[2].factory(gym.make("MMCReach-v0"))
+        agents[2].factory(gym.make("MMCReach-v0"))
 
 
 @pytest.mark.parametrize(

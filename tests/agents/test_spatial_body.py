@@ -77,7 +77,7 @@ def test_many_arms_are_as_each_alone_and_start_anew_where_episodes_do():
     agent = mmc_body(INTERFACE)
     seen = np.stack([observation(START, target_of(seed), LONGER) for seed in range(3)])
     together, state = agent.predict(seen)
-    np.testing.assert_array_equal(together, [agent.predict(one)[0] for one in seen])
+    np.testing.assert_array_equal(together, [agent.predict(observed)[0] for observed in seen])
     _, state = agent.predict(seen, state, [True, False, False])
     np.testing.assert_array_equal(state.looks, [1, 2, 2])
     with pytest.raises(UserError, match="state"):
