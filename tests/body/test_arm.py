@@ -58,10 +58,10 @@ def test_parameters_are_floats_whatever_they_were_given_as():
     ],
 )
 def test_servos_of_default_masses_are_as_much_stronger_as_the_arm_is_heavier(arm, torque_limit):
-    made = ArmParameters(**arm)
-    assert made.torque_limit == pytest.approx(torque_limit, rel=1e-12)
-    longer = dataclasses.replace(made, segment_lengths=(2.0, 1.0), segment_masses=None)
-    assert longer.torque_limit == made.torque_limit
+    parameters = ArmParameters(**arm)
+    assert parameters.torque_limit == pytest.approx(torque_limit, rel=1e-12)
+    longer = dataclasses.replace(parameters, segment_lengths=(2.0, 1.0), segment_masses=None)
+    assert longer.torque_limit == parameters.torque_limit
 
 
 def arm_of(engine, servo="position", **parameters):

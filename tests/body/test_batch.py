@@ -118,20 +118,20 @@ def test_every_arm_moves_as_a_single_one(case, servo):
 
 @pytest.mark.usefixtures("few_arms_in_a_space")
 @pytest.mark.parametrize(("engine", "count"), [("pymunk", 40), ("analytic", 520)])
-@pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-def test_threads_change_nothing(engine, count, made, servo):
-    case = engine, ArmParameters(**made)
+@pytest.mark.parametrize("arm", [{}, ROUGH], ids=["default", "rough"])
+def test_threads_change_nothing(engine, count, arm, servo):
+    case = engine, ArmParameters(**arm)
     play_both(case, servo, count, steps=20, threads=2, alone=(0, 13, count - 1))
 
 
 @pytest.mark.usefixtures("few_arms_in_a_space")
 @pytest.mark.parametrize("heaviest", [0.0, 2.0], ids=["without loads", "with loads"])
-@pytest.mark.parametrize("made", [{}, ROUGH], ids=["default", "rough"])
-def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, made, heaviest, servo):
+@pytest.mark.parametrize("arm", [{}, ROUGH], ids=["default", "rough"])
+def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, arm, heaviest, servo):
     """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
-    own = replace(ArmParameters(**made), lockable_joints=(0, 1, 2))
-    other = replace(own, gravity=(0.0, 30.0), hand_mass=heaviest)
-    play_both((engine, own), servo, 37, 30, others=[own, other])
+    parameters = replace(ArmParameters(**arm), lockable_joints=(0, 1, 2))
+    other = replace(parameters, gravity=(0.0, 30.0), hand_mass=heaviest)
+    play_both((engine, parameters), servo, 37, 30, others=[parameters, other])
 
 
 def test_a_whole_space_of_arms_moves_as_single_ones():

@@ -88,11 +88,11 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_an_arm_obeys_the_equations_of_motion(engine, case):
-    made, torques, speeds, held = CASES[case]
-    exact, errors = Lagrangian(ArmParameters(**made), torques, held).joint_angles(speeds), []
+    settings, torques, speeds, held = CASES[case]
+    exact, errors = Lagrangian(ArmParameters(**settings), torques, held).joint_angles(speeds), []
     for substep in (0.002, 0.0005):
         steps = round(DURATION / substep)
-        p = ArmParameters(**made, speed_limit=100.0, substep=substep, substeps=steps)
+        p = ArmParameters(**settings, speed_limit=100.0, substep=substep, substeps=steps)
         arm = make_arm(engine, p, "torque")
         arm.reset(np.resize(START, len(speeds)), speeds)
         arm.lock()
@@ -124,8 +124,8 @@ SLOW = ("locks", "gravity", "hand mass 1", "torque")
 )
 def test_pymunk_has_converged_to_the_exact_engine(case):
     """Joint angles of 64 arms after 2 s of random commands."""
-    made, servo = CONVERGED[case]
-    p, ends = ArmParameters(**made), []
+    settings, servo = CONVERGED[case]
+    p, ends = ArmParameters(**settings), []
     shape = 64, len(p.segment_lengths)
     largest = {"position": 0.5, "velocity": p.speed_limit, "torque": 50.0}[servo]
     for engine in ("pymunk", "analytic"):

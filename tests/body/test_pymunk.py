@@ -147,8 +147,8 @@ STRONG = {  # near the strongest that are accepted
 
 @pytest.mark.parametrize("case", STRONG)
 def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, engine):
-    made, curl = STRONG[case]
-    p = ArmParameters(**made, force_field=((0.0, curl), (-curl, 0.0)))
+    settings, curl = STRONG[case]
+    p = ArmParameters(**settings, force_field=((0.0, curl), (-curl, 0.0)))
     for servo in ("position", "torque"):
         arm, random, speeds, gaps = make_arm(engine, p, servo), np.random.default_rng(1), [], []
         for _ in range(10):
