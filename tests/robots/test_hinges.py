@@ -113,8 +113,8 @@ def test_tables_agree_with_pybullet_in_both_directions(name):
     angles = postures(arm, 20)
     poses = np.array([bullet_pose(each) for each in angles])
     np.testing.assert_allclose(arm.forward(angles), poses, atol=1e-6)
-    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], tolerance=EXACT).joint_angles
-    np.testing.assert_allclose([bullet_pose(each) for each in found], poses, atol=1e-5)
+    ends = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], tolerance=EXACT).joint_angles
+    np.testing.assert_allclose([bullet_pose(each) for each in ends], poses, atol=1e-5)
     bullet.disconnect(client)
 
 
@@ -205,9 +205,9 @@ def test_a_path_is_followed_without_a_jump(name):
 def test_no_joint_turns_by_a_whole_turn_more_than_its_limits_require():
     arm = HingeArm.named("ur5")
     poses, start = arm.forward(postures(arm, 50)), postures(arm, 50, seed=4)
-    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], start=start).joint_angles
-    for turned in (found - 2 * np.pi, found + 2 * np.pi):
-        is_farther = np.abs(turned - start) > np.abs(found - start) - 1e-9
+    solved = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], start=start).joint_angles
+    for turned in (solved - 2 * np.pi, solved + 2 * np.pi):
+        is_farther = np.abs(turned - start) > np.abs(solved - start) - 1e-9
         assert (is_farther | (turned < arm.limits[:, 0]) | (turned > arm.limits[:, 1])).all()
 
 
