@@ -35,9 +35,9 @@ def test_gradients_flow_through_iterations_to_all_that_they_depend_on(kind, norm
     parameters = tuple(network.parameters())
     assert torch.autograd.gradcheck(end, (angles, targets, *parameters), fast_mode=True)
     unused = ("velocity_damping", "velocity_decay") if kind["dynamics"] == "kinematic" else ()
-    used = [one for name, one in network.named_parameters() if name not in unused]
-    sum(one.sum() for one in end(angles, targets, *parameters)).backward()
-    assert all(one.grad.abs().sum() > 0 for one in (angles, targets, *used))
+    used = [tensor for name, tensor in network.named_parameters() if name not in unused]
+    sum(tensor.sum() for tensor in end(angles, targets, *parameters)).backward()
+    assert all(tensor.grad.abs().sum() > 0 for tensor in (angles, targets, *used))
 
 
 def test_an_arm_that_was_bent_has_gradients_too():
@@ -59,9 +59,9 @@ def test_the_network_of_numpy_comes_back_as_it_was(kind, normalizer):
 
 
 def test_a_learned_normalizer_learns_and_stays_odd_and_the_rest_learns_when_asked_to():
-    assert not any(one.requires_grad for one in twin()[1].parameters())
+    assert not any(layer.requires_grad for layer in twin()[1].parameters())
     network = TorchNetwork(MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate")))
-    assert all(one.requires_grad == (one.ndim > 1) for one in network.normalizer.parameters())
+    assert all(layer.requires_grad == (layer.ndim > 1) for layer in network.normalizer.parameters())
     network.damping.requires_grad_()
     optimizer = torch.optim.SGD(network.normalizer.parameters(), lr=0.1)
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])

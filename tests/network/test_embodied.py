@@ -31,10 +31,10 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
     state = network.state_from_joint_angles(postures(0, 7))
     target = targets(1, 7)
     expected = network.run(state, network.inverse(target), 20)
-    given = Embodiment(segment_lengths=np.array(network.segment_lengths))
+    same_lengths = Embodiment(segment_lengths=np.array(network.segment_lengths))
     unlocked = Embodiment(locked=np.zeros(3, dtype=bool), joint_angles=np.zeros(3))
     unweighted = Embodiment(sensed=np.ones((7, 3, 2)))
-    for body in (Embodiment(), given, unlocked, unweighted):
+    for body in (Embodiment(), same_lengths, unlocked, unweighted):
         actual = run_to(network, state, target, body, 20)
         np.testing.assert_array_equal(actual.values, expected.values)
 
@@ -61,13 +61,13 @@ def test_an_arm_has_the_same_bits_in_any_batch(dynamics, normalizer):
 
 def test_each_arm_of_a_batch_may_have_its_own_lengths(normalizer):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
-    given = MMCNetwork(normalizer=normalizer)
-    state, target = given.state_from_joint_angles(postures(0, 3)), targets(1, 3)
-    together = run_to(given, state, target, Embodiment(segment_lengths=lengths), 30)
-    for index, own in enumerate(lengths):
-        network = MMCNetwork(tuple(own), normalizer=normalizer)
-        one = type(state)(state.values[..., index], 3)
-        alone = network.run(one, network.inverse(target[index]), 30)
+    equal = MMCNetwork(normalizer=normalizer)
+    state, target = equal.state_from_joint_angles(postures(0, 3)), targets(1, 3)
+    together = run_to(equal, state, target, Embodiment(segment_lengths=lengths), 30)
+    for index, arm_lengths in enumerate(lengths):
+        network = MMCNetwork(tuple(arm_lengths), normalizer=normalizer)
+        arm_state = type(state)(state.values[..., index], 3)
+        alone = network.run(arm_state, network.inverse(target[index]), 30)
         np.testing.assert_allclose(together.values[..., index], alone.values, atol=1e-12)
 
 

@@ -120,8 +120,8 @@ def test_the_network_computes_the_equations_as_written(kind, count, normalizer, 
         expected = written_out(network, segments, vectors, 12)
         state, clamps = network.state_from_segments(segments), network.clamp(vectors)
         for iterations in (1, 2, 12):
-            found = iterate(network, state, clamps, iterations).segments
-            np.testing.assert_allclose(found, expected[iterations - 1], atol=1e-12)
+            iterated = iterate(network, state, clamps, iterations).segments
+            np.testing.assert_allclose(iterated, expected[iterations - 1], atol=1e-12)
 
 
 @pytest.mark.parametrize("task", ["inverse", "forward", "mixed"])
@@ -156,7 +156,7 @@ def test_batches_have_any_axes_and_broadcast():
     network = MMCNetwork(schedule="delayed", dynamics="paper")
     segments, targets = random_segments((4, 1, 3)), random_targets(2, 1, 5)
     state = moved(network, segments, targets, 20)
-    shapes = [one.shape for one in (state.vectors, state.joint_angles, state.end_effector)]
+    shapes = [array.shape for array in (state.vectors, state.joint_angles, state.end_effector)]
     assert shapes == [(2, 4, 5, 6, 2), (2, 4, 5, 3), (2, 4, 5, 2)]
     for index in np.ndindex(*state.batch_shape):
         alone = moved(network, segments[index[1], 0], targets[index[0], 0, index[2]], 20)
@@ -173,8 +173,8 @@ def test_an_arm_has_the_same_bits_in_any_batch(count, normalizer):
     rest = timed.state_from_segments(segments).values
     steps = timed_step(timed, MMCState(rest, count), targets, 0.1).values
     for part in (slice(1), slice(2), slice(3), slice(13), slice(-7, None)):
-        some = moved(network, segments[part], targets[part], 5).values
-        np.testing.assert_array_equal(some, values[..., part])
+        part_values = moved(network, segments[part], targets[part], 5).values
+        np.testing.assert_array_equal(part_values, values[..., part])
         step = timed_step(timed, MMCState(rest[..., part], count), targets[part], 0.1)
         np.testing.assert_array_equal(step.values, steps[..., part])
 
@@ -185,16 +185,16 @@ def test_single_precision_is_kept_and_close(normalizer, iterate):
     double = moved(network, segments, targets, 1)
     single = MMCState(double.values.astype(np.float32), 3)
     clamps = network.inverse(targets)
-    found = iterate(network, single, clamps, 30)
-    assert found.values.dtype == found.segments.dtype == np.float32
-    np.testing.assert_allclose(found.values, network.run(double, clamps, 30).values, atol=1e-4)
+    end = iterate(network, single, clamps, 30)
+    assert end.values.dtype == end.segments.dtype == np.float32
+    np.testing.assert_allclose(end.values, network.run(double, clamps, 30).values, atol=1e-4)
 
 
 def test_vectors_of_no_length_get_a_direction_too_and_an_empty_batch_stays_empty(iterate):
     network = MMCNetwork(segment_lengths=(1.0, 2.0, 0.5))
     state = network.state_from_segments(np.zeros((3, 2)))
-    found = iterate(network, state, NO_CLAMPS, 3)
-    np.testing.assert_allclose(found.values, network.run(state, iterations=3).values, atol=1e-12)
+    end = iterate(network, state, NO_CLAMPS, 3)
+    np.testing.assert_allclose(end.values, network.run(state, iterations=3).values, atol=1e-12)
     empty = network.state_from_joint_angles(np.empty((0, 3)))
     assert iterate(network, empty, network.inverse([1.0, 1.0]), 3).batch_shape == (0,)
 
@@ -203,12 +203,12 @@ def test_nothing_that_is_passed_in_changes():
     network = MMCNetwork(schedule="delayed", dynamics="reference")
     segments, targets = random_segments((4, 3)), np.ones((4, 2))
     state, clamps = network.state_from_segments(segments), network.inverse(targets)
-    given = segments, targets, state.values, clamps.values
+    arrays = segments, targets, state.values, clamps.values
     assert not np.shares_memory(clamps.values, targets)
-    copies = [array.copy() for array in given]
+    copies = [array.copy() for array in arrays]
     network.run(state, clamps, 3)
     network.trajectory(state, clamps, 3)
-    for array, copy in zip(given, copies, strict=True):
+    for array, copy in zip(arrays, copies, strict=True):
         np.testing.assert_array_equal(array, copy)
 
 
@@ -248,9 +248,9 @@ def test_no_other_arm_is_bent_in_numpy_or_torch(kind, iterate):
     is_bent = (start.segments != state.segments).any(axis=(1, 2))
     np.testing.assert_array_equal(is_bent, [True, True, False, True, False, False, False])
     for iterations in (0, 40):
-        found = iterate(network, state, clamps, iterations)
+        end = iterate(network, state, clamps, iterations)
         expected = network.run(state, clamps, iterations)
-        np.testing.assert_allclose(found.values, expected.values, atol=1e-12)
+        np.testing.assert_allclose(end.values, expected.values, atol=1e-12)
 
 
 LONGER, PAPER = MMCNetwork((1.0,) * 4), MMCNetwork(dynamics="paper")
