@@ -20,28 +20,29 @@ HER = "HerReplayBuffer"
 OF_PPO = "hyperparameters of ppo-mine must .*"
 
 
-def recipe(algorithm="ppo", **changes):
+def recipe_of(algorithm="ppo", **changes):
     least = {"n_timesteps": 1000, "policy": "MlpPolicy"}
     return Recipe(f"{algorithm}-mine", "MMCReach-v0", {**least, **changes})
 
 
-def make(one):
-    settings = one.settings
-    return one.make_model(make_vec_env(one.env_id, settings["n_envs"], settings["env_kwargs"]), 0)
+def make(recipe):
+    settings = recipe.settings
+    envs = make_vec_env(recipe.env_id, settings["n_envs"], settings["env_kwargs"])
+    return recipe.make_model(envs, 0)
 
 
 @pytest.mark.parametrize("name", names())
 def test_every_file_describes_a_model(name):
-    one = read_recipe(name)
+    recipe = read_recipe(name)
     file = files("mmc_gym.training") / "hyperparams" / f"{name}.yml"
-    entry = yaml.safe_load(file.read_text())[one.env_id]
-    assert entry == one.hyperparameters  # none of the keys that rl_zoo3 does not know
+    entry = yaml.safe_load(file.read_text())[recipe.env_id]
+    assert entry == recipe.hyperparameters  # none of the keys that rl_zoo3 does not know
     assert not {"perturbations", "memory"} & entry.keys()
-    before = deepcopy(one.hyperparameters)
-    model = make(one)
-    assert isinstance(model, one.algorithm_class)
+    before = deepcopy(recipe.hyperparameters)
+    model = make(recipe)
+    assert isinstance(model, recipe.algorithm_class)
     assert model.n_envs == before["n_envs"]
-    assert one.hyperparameters == before
+    assert recipe.hyperparameters == before
     for key in ("gamma", "batch_size", "tau", "gae_lambda", "buffer_size", "n_epochs"):
         assert getattr(model, key, None) == before.get(key, getattr(model, key, None))
     layers = re.findall(r"(?<=out_features=)\d+", str(model.policy))
@@ -69,8 +70,8 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
     assert read_recipe(str(path), "B-v0").hyperparameters == {"gamma": 0.6}
     assert read_recipe(str(path), steps=9).hyperparameters == {"gamma": 0.5, "n_timesteps": 9}
     assert read_recipe("tqc-her").name == "tqc-her"
-    given = read_recipe("ppo", env_kwargs={"control": "joint_velocity"}).settings["env_kwargs"]
-    assert given == {"engine": "analytic", "control": "joint_velocity"}
+    arguments = read_recipe("ppo", env_kwargs={"control": "joint_velocity"}).settings["env_kwargs"]
+    assert arguments == {"engine": "analytic", "control": "joint_velocity"}
 
 
 def test_a_file_that_holds_something_else_is_an_error(tmp_path):
@@ -91,23 +92,23 @@ def test_a_file_that_holds_something_else_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("one", "steps"),
+    ("recipe", "steps"),
     [
-        (recipe(), 2048),
-        (recipe(n_envs=4, n_steps=50, n_timesteps=1e5), 4000),
-        (recipe("sac", n_steps=5), 40),  # of returns, not rollouts
-        (recipe("sac", train_freq=[30, "step"]), 60),
-        (recipe("sac", train_freq=[1, "episode"]), 100),
+        (recipe_of(), 2048),
+        (recipe_of(n_envs=4, n_steps=50, n_timesteps=1e5), 4000),
+        (recipe_of("sac", n_steps=5), 40),  # of returns, not rollouts
+        (recipe_of("sac", train_freq=[30, "step"]), 60),
+        (recipe_of("sac", train_freq=[1, "episode"]), 100),
         # It learns from whole episodes.
-        (recipe("sac", replay_buffer_class=HER, env_kwargs={"max_episode_steps": 30}), 60),
+        (recipe_of("sac", replay_buffer_class=HER, env_kwargs={"max_episode_steps": 30}), 60),
     ],
 )
-def test_a_leg_is_of_whole_rollouts(one, steps):
-    assert one.steps_per_leg(25) == steps
+def test_a_leg_is_of_whole_rollouts(recipe, steps):
+    assert recipe.steps_per_leg(25) == steps
 
 
 @pytest.mark.parametrize(
-    ("key", "one", "other"),
+    ("key", "short", "long"),
     [
         ("policy_kwargs", {"net_arch": [64, 64]}, "dict(net_arch=[64, 64])"),
         ("policy_kwargs", {"net_arch": {"pi": [8]}}, "dict(net_arch=dict(pi=[8]),)"),
@@ -122,16 +123,16 @@ def test_a_leg_is_of_whole_rollouts(one, steps):
         ("n_timesteps", 1000, "1e3"),
     ],
 )
-def test_two_ways_to_write_the_same(key, one, other):
-    one, other = (recipe(**{key: value}).settings[key] for value in (one, other))
-    assert repr(one) == repr(other)  # two partials are never equal
+def test_two_ways_to_write_the_same(key, short, long):
+    short, long = (recipe_of(**{key: value}).settings[key] for value in (short, long))
+    assert repr(short) == repr(long)  # two partials are never equal
 
 
 def test_all_that_an_entry_names_is_made():
     network = "dict(activation_fn=nn.Tanh, net_arch=[8, 9])"
     changes = {"policy_kwargs": network, "learning_rate": "lin_1e-3", "clip_range": 0.2}
     changes["vec_env_wrapper"] = [{RESIDUAL: {"base_agent": "mmc"}}]
-    model = make(recipe(n_envs=2, **changes))
+    model = make(recipe_of(n_envs=2, **changes))
     assert unwrap_vec_wrapper(model.get_env(), Residual).base_agent == "mmc"
     layers = re.findall(r"(?<=out_features=)\d+|Tanh", str(model.policy.mlp_extractor.policy_net))
     assert layers == ["8", "Tanh", "9", "Tanh"]
@@ -167,7 +168,7 @@ def test_all_that_an_entry_names_is_made():
     ],
 )
 def test_a_mistake_is_named_with_the_value_and_what_is_accepted(algorithm, key, value, message):
-    mistaken = recipe(algorithm, **{key: value})
+    mistaken = recipe_of(algorithm, **{key: value})
     act = make if message.startswith("hyperparameters of") else methodcaller("steps_per_leg", 25)
     with pytest.raises(UserError, match=message):
         act(mistaken)

@@ -74,11 +74,11 @@ def few_episodes():
 def trained(tmp_path_factory):
     """The folder of a training with TensorBoard's logs."""
     folder = tmp_path_factory.mktemp("ppo")
-    one = training("ppo", folder)
-    one.tensorboard = folder / "logs"
-    before = deepcopy(one.recipe.hyperparameters)
-    card = one.run()
-    assert card.hyperparameters == before == one.recipe.hyperparameters
+    tiny_training = training("ppo", folder)
+    tiny_training.tensorboard = folder / "logs"
+    before = deepcopy(tiny_training.recipe.hyperparameters)
+    card = tiny_training.run()
+    assert card.hyperparameters == before == tiny_training.recipe.hyperparameters
     return folder
 
 
@@ -138,9 +138,9 @@ def test_the_card_describes_the_whole_training(trained, tmp_path):
 
 @pytest.mark.parametrize("name", ["ppo", "td3", "a2c", "ppo_lstm"])
 def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(name, tmp_path):
-    one, models = training(name, tmp_path, n_timesteps=1), []
-    one.save = lambda model: (models.append(model), Training.save(one, model))
-    one.run()
+    tiny_training, models = training(name, tmp_path, n_timesteps=1), []
+    tiny_training.save = lambda model: (models.append(model), Training.save(tiny_training, model))
+    tiny_training.run()
     model, envs = models[-1], gym.make_vec("MMCReach-v0", 5)
     normalizer = model.get_vec_normalize_env()
     assert (normalizer is not None) == (name != "ppo")
@@ -203,9 +203,10 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
 
 
 def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
-    one = Training(tiny("ppo", n_timesteps=1601), 3, tmp_path, evaluations=LEGS, device="auto")
+    recipe = tiny("ppo", n_timesteps=1601)
+    tiny_training = Training(recipe, 3, tmp_path, evaluations=LEGS, device="auto")
     best = "cuda" if torch.cuda.is_available() else "cpu"
-    assert (one.total_steps, one.device) == (2400, best)
+    assert (tiny_training.total_steps, tiny_training.device) == (2400, best)
 
 
 @pytest.mark.parametrize(
@@ -228,11 +229,11 @@ def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
 def test_mistakes_are_named_before_training(tmp_path, monkeypatch, changes, message):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
     settings = {"seed": 3, "device": "cpu", "tensorboard": None, "env_id": "MMCReach-v0"}
-    given = {name: changes.get(name, value) for name, value in settings.items()}
+    arguments = {name: changes.get(name, value) for name, value in settings.items()}
     others = {name: value for name, value in changes.items() if name not in settings}
-    recipe = Recipe("ppo", given.pop("env_id"), tiny("ppo", **others).hyperparameters)
+    recipe = Recipe("ppo", arguments.pop("env_id"), tiny("ppo", **others).hyperparameters)
     with pytest.raises(UserError, match=message):
-        Training(recipe, folder=tmp_path / "out", **given).run()
+        Training(recipe, folder=tmp_path / "out", **arguments).run()
     assert not (tmp_path / "out").exists()
 
 
@@ -251,9 +252,9 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     action, _ = agent.predict(observation, deterministic=True)
     saved = agent.save("mine")
     assert saved == Path("mine/ppo-3.json")
-    kept = train("ppo", seed=3, steps=1, out="kept")
+    written = train("ppo", seed=3, steps=1, out="kept")
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
-    for same in (make_agent(str(saved), env), kept):
+    for same in (make_agent(str(saved), env), written):
         np.testing.assert_array_equal(action, same.predict(observation, deterministic=True)[0])
 
 
@@ -274,8 +275,8 @@ def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     env, player = make_player(agent, scenario)
     assert env.reset()[0][-3:].tolist() == [1.5, 1.0, 0.0]
     together = play_episodes(Arms(scenario), env, player, [5, 6])
-    for one, other in zip(run_episodes(player, env, [5, 6]), together, strict=True):
-        np.testing.assert_array_equal(one.hands, other.hands)
+    for single, of_vector in zip(run_episodes(player, env, [5, 6]), together, strict=True):
+        np.testing.assert_array_equal(single.hands, of_vector.hands)
     with pytest.raises(CannotActError, match=r"with observe_context=\['rotation--60..60', "):
         make_agent(str(tmp_path), gym.make("MMCReach-v0"))
     mmc = make_agent("mmc", env)  # ignores it

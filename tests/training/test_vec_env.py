@@ -44,11 +44,11 @@ def test_plays_what_dummy_vec_env_plays(make, env_id):
     np.testing.assert_equal(env.reset(), reference.reset())
     ends = 0
     for actions in np.random.default_rng(0).uniform(-1, 1, (210, COUNT, 3)).astype(np.float32):
-        *found, infos = env.step(actions)
+        *actual, infos = env.step(actions)
         *expected, expected_infos = reference.step(actions)
-        np.testing.assert_equal(found, expected)
-        assert [one.dtype for one in found[1:]] == [one.dtype for one in expected[1:]]
-        for done, info, expected_info in zip(found[-1], infos, expected_infos):
+        np.testing.assert_equal(actual, expected)
+        assert [array.dtype for array in actual[1:]] == [array.dtype for array in expected[1:]]
+        for done, info, expected_info in zip(actual[-1], infos, expected_infos):
             expected_info.pop("episode", None)  # of the Monitor around each environment
             ends += done
             np.testing.assert_equal(info, expected_info if done else {})
