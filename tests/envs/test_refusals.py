@@ -25,7 +25,7 @@ REACH = gym.make("MMCReach-v0")
 MISSPELT = type("Misspelt", (RandomTarget,), {"drawn": RandomTarget.draw})()
 
 
-def perturbed(*perturbations, **arguments):
+def reach(*perturbations, **arguments):
     return MMCReachEnv(perturbations=perturbations, **arguments)
 
 
@@ -38,12 +38,12 @@ def assert_refused(call, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MMCReachEnv(control="torque"), "control 'torque' .*; did you mean 'joint_torque'"),
-        (lambda: MMCReachEnv(reward_type="golden"), "reward_type 'golden'"),
-        (lambda: MMCReachEnv(render_mode="ansi"), "render_mode 'ansi'"),
-        (lambda: MMCReachEnv(width=0), "width must be a whole number of at least 1, got 0"),
-        (lambda: MMCReachEnv(control_weight="a"), "control_weight must be from 0"),
-        (lambda: MMCReachEnv(n_segments=4), "unexpected keyword argument 'n_segments'"),
+        (lambda: reach(control="torque"), "control 'torque' .*; did you mean 'joint_torque'"),
+        (lambda: reach(reward_type="golden"), "reward_type 'golden'"),
+        (lambda: reach(render_mode="ansi"), "render_mode 'ansi'"),
+        (lambda: reach(width=0), "width must be a whole number of at least 1, got 0"),
+        (lambda: reach(control_weight="a"), "control_weight must be from 0"),
+        (lambda: reach(n_segments=4), "unexpected keyword argument 'n_segments'"),
         (lambda: MMCReachGoalEnv(control_weight=0.1), "control_weight must be 0"),
         (lambda: MMCReachGoalEnv(smoothness_weight=0.1), "smoothness_weight must be 0"),
         (lambda: MMCReachGoalEnv(perturbations="joint-noise"), "no noise, no delay and no via"),
@@ -67,46 +67,34 @@ def test_an_environment_that_cannot_be_is_refused(call, message):
             lambda: MMCReachEnv(perturbations="rotation-30+delay-40"),
             r"perturbations '.* a list such as \['rotation-30', 'delay-40'",
         ),
-        (
-            lambda: MMCReachEnv(perturbations=None),
-            "perturbations None is not accepted. It may be .* or a Change$",
-        ),
-        (lambda: perturbed(Obstacles(((0.0, 0.0, 1.0),))), "obstacles must leave room for the arm"),
-        (
-            lambda: perturbed(VisuomotorRotation(180.0, centre=(20.0, 0.0))),
-            "must leave targets in reach",
-        ),
-        (lambda: perturbed("longer-500"), "must leave targets in reach"),
-        (lambda: perturbed(SegmentLength(segment=3)), "segment must be an index from -3 to 2, got"),
-        (lambda: perturbed(LockedJoint(0), LockedJoint(1, time=0.2)), "must lock at one time"),
+        (lambda: MMCReachEnv(perturbations=None), "None is not accepted. .* or a Change$"),
+        (lambda: reach(Obstacles(((0.0, 0.0, 1.0),))), "obstacles must leave room for the arm"),
+        (lambda: reach(VisuomotorRotation(180, centre=(20, 0))), "must leave targets in reach"),
+        (lambda: reach("longer-500"), "must leave targets in reach"),
+        (lambda: reach(SegmentLength(segment=3)), "segment must be an index from -3 to 2, got"),
+        (lambda: reach(LockedJoint(0), LockedJoint(1, time=0.2)), "must lock at one time"),
         (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
-        (lambda: perturbed(LockedJoint(1, time=-0.1)), "time must be from 0 to 1000"),
+        (lambda: reach(LockedJoint(1, time=-0.1)), "time must be from 0 to 1000"),
         (lambda: SensoryDelay(math.inf), "strength must be a finite number, got inf"),
         (lambda: JointNoise(math.nan), "strength of joint-noise must be from 0 to 1e.09, got nan"),
         (
-            lambda: perturbed(VisuomotorRotation(1.0, centre=(0, math.inf))),
+            lambda: reach(VisuomotorRotation(1.0, centre=(0, math.inf))),
             "centre must be two fin",
         ),
         (lambda: VisuomotorRotation(30.0, center=(0, 1)), "unexpected keyword argument 'center'"),
         # Of what is drawn.
-        (lambda: perturbed("longer--150..20"), "longer must be at least -99.9999, got -150"),
-        (lambda: perturbed("rotation-60..-60"), "from a low to a strength that is not lower"),
-        (lambda: perturbed("locked-1..5"), "joint must be an index from -3 to 2"),
-        (lambda: perturbed("longer-0..30-known"), "agents are given their arm once"),
+        (lambda: reach("longer--150..20"), "longer must be at least -99.9999, got -150"),
+        (lambda: reach("rotation-60..-60"), "from a low to a strength that is not lower"),
+        (lambda: reach("locked-1..5"), "joint must be an index from -3 to 2"),
+        (lambda: reach("longer-0..30-known"), "agents are given their arm once"),
         (lambda: SegmentLength(uniform(-0.2, 1)), "strength of longer must be at least -99.9999"),
         (
             lambda: SegmentLength(uniform(1, 1), known=True),
-            "known of longer must be False for what is drawn",
+            "known of longer must be False for what",
         ),
-        (lambda: perturbed("force-field-0..500"), "perturbations must be possible whatever is dr"),
-        (
-            lambda: mmc_gym.make("random", observe_context="rotation-30"),
-            "observe_context must be True, or perturbations from",
-        ),
-        (
-            lambda: perturbed("rotation-0..0", observe_context=True),
-            r"ranges with a width.*got .*rotation-0\.\.0",
-        ),
+        (lambda: reach("force-field-0..500"), "perturbations must be possible whatever is drawn"),
+        (lambda: reach(observe_context="rotation-30"), "observe_context must be True, or pertur"),
+        (lambda: reach("rotation-0..0", observe_context=True), r"a width.*got .*rotation-0\.\.0"),
         # Of what no file can hold.
         *(
             (lambda value=value: gym.make("MMCReach-v0", perturbations=value), "from a file|Change")
@@ -125,29 +113,17 @@ def test_a_perturbation_that_cannot_be_is_refused(call, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5)), "no evenly bent posture"),
+        (lambda: reach(task="paper", segment_lengths=(2.0, 0.5)), "no evenly bent posture"),
         # The cursor leaves the reach.
         (
-            lambda: perturbed(VisuomotorRotation(30.0, centre=(0.0, 1.5)), task="paper"),
+            lambda: reach(VisuomotorRotation(30.0, centre=(0.0, 1.5)), task="paper"),
             "where trial .* starts",
         ),
-        (
-            lambda: MMCReachEnv(task="paper", joint_limits=((-1.0, 1.0),) * 3),
-            "beyond the joint limits",
-        ),
-        (lambda: perturbed("obstacles", task="paper"), "one that the perturbed arm can do"),
-        (
-            lambda: perturbed("locked", task="centre-out", segment_lengths=(1.0, 1.0)),
-            "perturbed arm",
-        ),
-        (
-            lambda: MMCReachEnv(task=MISSPELT),
-            r"a method of Misspelt must be draw\(self, request\), got 'drawn'",
-        ),
-        (
-            lambda: MMCReachEnv(task="centre-in"),
-            "task 'centre-in' is not accepted; did you mean 'centre-out'",
-        ),
+        (lambda: reach(task="paper", joint_limits=((-1, 1),) * 3), "beyond the joint limits"),
+        (lambda: reach("obstacles", task="paper"), "one that the perturbed arm can do"),
+        (lambda: reach("locked", task="centre-out", segment_lengths=(1, 1)), "perturbed arm"),
+        (lambda: reach(task=MISSPELT), r"Misspelt must be draw\(self, request\), got 'drawn'"),
+        (lambda: reach(task="centre-in"), "'centre-in' is not accepted; did you mean 'centre-out'"),
         (lambda: DoubleStep(delay=-0.1), "^delay must be"),
         (lambda: ViaPoints(count=0), "^count must be"),
         (lambda: Pursuit(multiples_x=(2.5,)), "^multiples_x must be"),
