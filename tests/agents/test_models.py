@@ -132,17 +132,6 @@ def test_a_model_that_was_loaded_is_given_its_statistics_or_refused(model, folde
             assert agent.training_seed == (5 if source is alone else None)
 
 
-def test_statistics_that_are_none_or_of_no_model_are_refused(model, folder):
-    for agents, statistics, message in (
-        (["mmc"], model.get_env(), "must be for a model of stable-baselines3"),
-        ([model, "mmc"], {"mmc": model.get_env()}, "statistics of mmc must be for a model of stab"),
-        ([model], 3, "statistics must be a VecNormalize, or the path of its"),
-        ([model], folder / "vec_normalize.pkl", r"vec_normalize.pkl' holds pickles"),
-    ):
-        with pytest.raises(UserError, match=message):
-            compare(agents, episodes=1, statistics=statistics)
-
-
 def test_a_model_that_was_loaded_into_its_normalization_needs_no_more(model, folder, env):
     plain = vec_env()
     with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
@@ -235,12 +224,21 @@ def test_a_model_is_found_by_the_name_it_was_saved_by(name, tmp_path, monkeypatc
     assert resolve(f"./{name}").label == name
 
 
-def test_a_model_is_refused_where_a_wrapper_of_its_training_is_missing(env):
+def test_other_observations_or_actions_than_in_training_are_refused_and_another_arm_is_not(env):
     behind = trained()
     behind.get_env().envs[0] = wrappers.RescaleAction(behind.get_env().envs[0], *TWICE)
-    with pytest.raises(CannotActError, match="env must be wrapped in RescaleAction, as in the tr"):
-        make_agent(behind, env)
+    goals = SAC("MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **OFF_POLICY)
+    for model, message in (
+        (behind, "env must be wrapped in RescaleAction, as in the tr"),
+        (goals, "let it play in MMCReachGoal-v0"),
+        (trained(wrap=lambda env: VecFrameStack(env, 2)), r"must be of shape .* say --wrapper"),
+        (trained(segment_lengths=(1, 1)), r"must be of shape .* say --wrapper"),
+    ):
+        with pytest.raises(CannotActError, match=message):
+            make_agent(model, env)
     assert make_agent(behind, wrappers.RescaleAction(env, *TWICE))
+    with pytest.warns(MismatchWarning, match="segment_lengths .*2.0.* in training"):
+        make_agent(trained(segment_lengths=(1, 1, 2)), env)
 
 
 def stacked(env):
@@ -327,25 +325,25 @@ def test_a_model_that_observed_the_context_is_shown_it(tmp_path):
         compare([tmp_path / "file"], "rotation-30", episodes=1, allow_pickle=True)
     arguments = {"env_kwargs": {**shown, "control": "joint_delta"}, "allow_pickle": True}
     other = compare({"file": tmp_path / "file"}, "rotation-30", episodes=1, **arguments)
-    np.testing.assert_array_equal(
-        comparison.recorded["object"][0].hands, other.recorded["file"][0].hands
-    )
+    expected = comparison.recorded["object"][0].hands
+    np.testing.assert_array_equal(other.recorded["file"][0].hands, expected)
 
 
-@pytest.mark.parametrize(
-    ("wrapper", "message"),
-    [
-        ("mmc_gym.training.vec_env:Memory", "must take a single environment, it raised TypeError"),
-        ("builtins:repr", "wrapper must be a function that returns an environment"),
-        ("no_module:stack", "wrapper 'no_module:stack' cannot be imported"),
-        ("other=builtins:repr", "agent of wrapper 'other' .* may be PPO or mmc"),
-    ],
-)
-def test_a_wrapper_that_is_none_is_refused(model, wrapper, message):
-    with pytest.raises((UserError, TypeError), match=message):
-        compare([model, "mmc"], episodes=1, wrapper=wrapper)
-    with pytest.raises(UserError, match="wrapper must be for a model of stable-baselines3 among"):
-        compare(["mmc"], episodes=1, wrapper="builtins:repr")
+def test_statistics_and_wrappers_that_are_none_or_of_no_model_are_refused(model, folder):
+    statistics, both = model.get_env(), [model, "mmc"]
+    for agents, arguments, message in (
+        (["mmc"], {"statistics": statistics}, "must be for a model of stable-baselines3"),
+        (both, {"statistics": {"mmc": statistics}}, "of mmc must be for a model of stable-base"),
+        ([model], {"statistics": 3}, "statistics must be a VecNormalize, or the path of its"),
+        ([model], {"statistics": folder / "vec_normalize.pkl"}, "vec_normalize.pkl' holds pickles"),
+        (["mmc"], {"wrapper": "builtins:repr"}, "must be for a model of stable-baselines3 among"),
+        (both, {"wrapper": "mmc_gym.training.vec_env:Memory"}, "single env.*raised TypeError"),
+        (both, {"wrapper": "builtins:repr"}, "must be a function that returns an environment"),
+        (both, {"wrapper": "no_module:stack"}, "wrapper 'no_module:stack' cannot be imported"),
+        (both, {"wrapper": "other=builtins:repr"}, "of wrapper 'other' .* may be PPO or mmc"),
+    ):
+        with pytest.raises(UserError, match=message):
+            compare(agents, episodes=1, **arguments)
 
 
 def test_a_folder_with_a_best_model_is_that_model(folder):
@@ -376,20 +374,6 @@ def test_a_file_that_lacks_its_statistics_is_refused_or_warned_of(tmp_path, env)
     save(make_vec_env("MMCReach-v0", 1, wrapper_class=unbounded))
     with pytest.warns(MismatchWarning, match=unsure):
         load(tmp_path / "mine.zip", env)
-
-
-def test_another_arm_is_warned_of_and_other_observations_are_refused(env):
-    with pytest.warns(MismatchWarning, match="segment_lengths .*2.0.* in training"):
-        make_agent(trained(segment_lengths=(1, 1, 2)), env)
-    for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):
-        with pytest.raises(CannotActError, match=r"must be of shape .* say --wrapper"):
-            make_agent(other, env)
-
-
-def test_a_model_for_goals_is_told_where_it_can_play(env):
-    goals = SAC("MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **OFF_POLICY)
-    with pytest.raises(CannotActError, match="let it play in MMCReachGoal-v0"):
-        make_agent(goals, env)
 
 
 def test_a_warning_of_a_model_shows_the_line_of_the_user(folder):
