@@ -107,6 +107,12 @@ def forget_what_is_registered():
         registry.update(entries)
 
 
+def by_night(values, daily):
+    """Return parameters of a test of which all but some are slow."""
+    slow = pytest.mark.slow
+    return [value if value in daily else pytest.param(value, marks=slow) for value in values]
+
+
 def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
     """Make an episode of these hand positions and targets; the servos do nothing."""
     hands = np.array(hands, dtype=np.float64)

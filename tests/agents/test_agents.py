@@ -22,6 +22,7 @@ from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.measures import run_episodes
 from mmc_gym.network import MMCNetwork
 from mmc_gym.training.vec_env import GymnasiumVecEnv
+from tests.conftest import by_night
 
 NETWORKS = [name for name, entry in AGENTS.items() if entry.knowledge.kind == "network"]
 JOINT_TARGET_AGENTS = [
@@ -31,10 +32,6 @@ JOINT_TARGET_AGENTS = [
 ]
 DAILY = ("mmc", "mmc-body", "ik-dls", "minimum-jerk", "optimal-control", "ppo-memory")
 """One agent of each family; the others are `slow`."""
-
-
-def by_night(names, daily=DAILY):
-    return [name if name in daily else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def moments(name, envs, steps, seed=0):
@@ -77,7 +74,7 @@ WORLDS["all mixed"] = [
 
 @pytest.mark.filterwarnings("ignore::mmc_gym.MismatchWarning")
 @pytest.mark.parametrize("world", WORLDS)
-@pytest.mark.parametrize("name", by_night([name for name in AGENTS if name != "random"]))
+@pytest.mark.parametrize("name", by_night([name for name in AGENTS if name != "random"], DAILY))
 def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
     """Bit for bit; of policies, sums in single precision may differ in their last bits."""
     count = 1 if world == "all mixed" else 9
@@ -100,7 +97,7 @@ def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
 
 
 @pytest.mark.parametrize("late", [(), ("delay-40",)])
-@pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS, "ppo-memory"]))
+@pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS, "ppo-memory"], DAILY))
 def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name, late):
     envs = gym.make_vec("MMCReach-v0", num_envs=3, perturbations=("longer-20", "locked", *late))
     predict = partial(make_agent(name, envs).predict, deterministic=True)
@@ -116,7 +113,7 @@ def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name, late
 
 @pytest.mark.parametrize("bearing", [0.7, pytest.param(0.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("count", by_night([2, 3, 4, 6], daily=[3]))
-@pytest.mark.parametrize("name", by_night([*NETWORKS, "ik-dls"]))
+@pytest.mark.parametrize("name", by_night([*NETWORKS, "ik-dls"], DAILY))
 def test_an_arm_in_one_line_with_its_target_gets_there(name, count, bearing):
     """No method of iteration does, unless it is bent a little; all get the same help."""
     direction = np.array([np.cos(bearing), np.sin(bearing)])
@@ -154,7 +151,7 @@ def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_contr
     assert abs(rates[0] - rates[1]) <= 0.06
 
 
-@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS, DAILY))
 def test_no_joint_is_sent_beyond_its_limits(name):
     limits = ((-1.5, 1.5), (0.0, 2.5), (-1.0, 2.0))
     envs = gym.make_vec("MMCReach-v0", 10, control="joint_position", joint_limits=limits)

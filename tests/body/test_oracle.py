@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mmc_gym.body import ArmParameters, make_arm, make_arms
+from tests.conftest import by_night
 
 START, SPEEDS, DURATION = [0.4, 1.0, -0.7], [0.9, -1.4, 0.8], 0.5
 FIVE = [*SPEEDS, 0.9, -1.4]
@@ -116,12 +117,10 @@ CONVERGED = {
     "torque, locks": ({"lockable_joints": (1,)}, "torque"),
     "field": ({"force_field": ((0.0, 60.0), (-60.0, 0.0))}, "position"),
 }
-SLOW = ("locks", "gravity", "hand mass 1", "torque")
+BY_DAY = {*CONVERGED} - {"locks", "gravity", "hand mass 1", "torque"}
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=pytest.mark.slow if c in SLOW else ()) for c in CONVERGED]
-)
+@pytest.mark.parametrize("case", by_night(CONVERGED, BY_DAY))
 def test_pymunk_has_converged_to_the_exact_engine(case):
     """Joint angles of 64 arms after 2 s of random commands."""
     settings, servo = CONVERGED[case]

@@ -12,6 +12,7 @@ from mmc_gym import UserError
 from mmc_gym.envs.names import parse_change
 from mmc_gym.envs.perturbations import HandMass, JointNoise, OneOf, VisuomotorRotation
 from mmc_gym.envs.scenarios import as_json, parse_scenario
+from tests.conftest import by_night
 from tests.envs.conftest import RANGES, random_actions, same
 
 
@@ -270,7 +271,7 @@ def test_a_curriculum_begins_at_no_change():
         assert hands[:, 0].tolist() == [3.0 if ranges == "longer-0..0" else 3.2] * 2
 
 
-@pytest.mark.parametrize("mode", ["dummy", pytest.param("subproc", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", by_night(["dummy", "subproc"], daily=["dummy"]))
 def test_perturbations_change_through_the_vector_environments_of_stable_baselines3(mode):
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
     from stable_baselines3.common.env_util import make_vec_env

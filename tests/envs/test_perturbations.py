@@ -31,6 +31,7 @@ from mmc_gym.envs.workspace import Workspace
 from mmc_gym.geometry import node_positions, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.measures import run_episodes
+from tests.conftest import by_night
 from tests.envs.conftest import random_actions
 
 DISCS = FOUR_DISCS[:2]
@@ -343,10 +344,7 @@ def clearance(env):
     )
 
 
-BY_NIGHT = [pytest.param(control, marks=pytest.mark.slow) for control in CONTROLS[2:]]
-
-
-@pytest.mark.parametrize("control", ["joint_delta", *BY_NIGHT])
+@pytest.mark.parametrize("control", by_night(CONTROLS[1:], daily=["joint_delta"]))
 @pytest.mark.parametrize("discs", ["obstacles-4", Obstacles(((0, 2.2, 1.0),))])
 def test_segments_sink_no_deeper_into_obstacles_than_stated(control, discs):
     env = MMCReachVectorEnv(32, control=control, perturbations=discs)

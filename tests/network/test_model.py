@@ -11,6 +11,7 @@ from mmc_gym.network import LearnedNormalizer, MMCNetwork, MMCState, chain
 from mmc_gym.network.chain import linear_operator
 from mmc_gym.network.model import NO_CLAMPS
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step
+from tests.conftest import by_night
 
 counts = st.integers(2, 8)
 
@@ -105,7 +106,7 @@ def test_with_the_end_effector_clamped_the_slowest_mode_has_eigenvalue_two(count
     np.testing.assert_allclose(eigenvalues[count - 1], 2.0, atol=1e-11)
 
 
-@pytest.mark.parametrize("count", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5))])
+@pytest.mark.parametrize("count", by_night([2, 3, 5], daily=[3]))
 def test_the_network_computes_the_equations_as_written(kind, count, normalizer, iterate):
     lengths = tuple(np.linspace(0.6, 1.4, count))
     settings = {"velocity_damping": 4, "velocity_decay": 0.9, "normalizer": normalizer, **kind}

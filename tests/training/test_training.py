@@ -24,6 +24,7 @@ from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
 from mmc_gym.training.vec_env import Memory
 from studies.learners.ppo_residual import HYPERPARAMETERS
+from tests.conftest import by_night
 
 LEGS = 4
 RESIDUAL = "studies.learners.ppo_residual.Residual"
@@ -82,13 +83,7 @@ def trained(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("ppo", "tqc-her", "td3", "a2c", "ppo_lstm"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ppo-residual", "sac", "trpo")),
-    ],
-)
+@pytest.mark.parametrize("name", by_night(TINY, ["ppo", "tqc-her", "td3", "a2c", "ppo_lstm"]))
 def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(name, tmp_path):
     def interrupt(progress):
         if progress.steps > 400:  # a leg after a checkpoint has begun
