@@ -1,5 +1,8 @@
 """Facts about perturbations that are drawn for each episode, single and vector."""
 
+import json
+from copy import deepcopy
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -9,7 +12,8 @@ from scipy.stats import norm, uniform
 
 import mmc_gym
 from mmc_gym import UserError
-from mmc_gym.envs.names import parse_change
+from mmc_gym.envs.changes import Walk
+from mmc_gym.envs.names import as_change, as_plain, parse_change
 from mmc_gym.envs.perturbations import HandMass, JointNoise, OneOf, VisuomotorRotation
 from mmc_gym.envs.scenarios import as_json, parse_scenario
 from tests.conftest import by_night
@@ -304,7 +308,6 @@ def strengths_of(env, episodes, **first):
 
 
 @pytest.mark.parametrize("kind", ["walk", "drift", "cycle"])
-@pytest.mark.parametrize("engine", ENGINES)
 def test_a_strength_walks_from_episode_to_episode(kind, engine):
     made = {"perturbations": VisuomotorRotation(Walk(-60, 60, 8, kind)), "engine": engine}
     native = gym.make_vec("MMCReach-v0", num_envs=3, **made)

@@ -145,9 +145,9 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, dist
     setup, count = MMCReachEnv(perturbations=changes).setup, 5000
     still, hands = np.zeros((count, 3)), np.zeros((count, 2))
     true = Seen(still, hands + np.array([0.0, distance]), still + speed, hands)
-    levels = np.tile(setup.first.disturbance.noise, (count, 1))
-    noise, arms = Noise(count, 3, setup.episodes.touched), np.arange(count)
-    noise.begin(arms, levels)
+    arms, indices = setup.first.arms.rows(np.zeros(count, int)), np.arange(count)
+    noise = Noise(count, 3, setup.layout.size, setup.touched)
+    noise.begin(indices, arms)
     randoms = [np.random.default_rng(seed) for seed in range(count)]
     noise.draw(indices, 0 * indices, randoms)
     senses = Senses(

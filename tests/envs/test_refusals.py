@@ -71,10 +71,10 @@ def test_an_environment_that_cannot_be_is_refused(call, message):
         (lambda: reach(Obstacles(((0.0, 0.0, 1.0),))), "obstacles must leave room for the arm"),
         (lambda: reach(VisuomotorRotation(180, centre=(20, 0))), "must leave targets in reach"),
         (lambda: reach("longer-500"), "must leave targets in reach"),
-        (lambda: reach(SegmentLength(segment=3)), "segment must be an index from -3 to 2, got"),
+        (lambda: reach(SegmentLength(segment=3)), "segment must be from 1 to 3"),
         (lambda: reach(LockedJoint(0), LockedJoint(1, time=0.2)), "must lock at one time"),
         (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
-        (lambda: reach(LockedJoint(1, time=-0.1)), "time must be from 0 to 1000"),
+        (lambda: reach(LockedJoint(1, time=-0.1)), "at must be from 0 to 1000"),
         (lambda: SensoryDelay(math.inf), "strength must be a finite number, got inf"),
         (lambda: JointNoise(math.nan), "strength of joint-noise must be from 0 to 1e.09, got nan"),
         (
@@ -85,7 +85,7 @@ def test_an_environment_that_cannot_be_is_refused(call, message):
         # Of what is drawn.
         (lambda: reach("longer--150..20"), "longer must be at least -99.9999, got -150"),
         (lambda: reach("rotation-60..-60"), "from a low to a strength that is not lower"),
-        (lambda: reach("locked-1..5"), "joint must be an index from -3 to 2"),
+        (lambda: reach("locked-1..5"), "joint or segment must be from 1 to 3"),
         (lambda: reach("longer-0..30-known"), "agents are given their arm once"),
         (lambda: SegmentLength(uniform(-0.2, 1)), "strength of longer must be at least -99.9999"),
         (

@@ -280,3 +280,30 @@ def test_a_window_that_sdl_refuses_is_explained(monkeypatch):
     message = "a window needs a display, and there is none: nowhere not available.*mmc-gym record"
     with pytest.raises(UserError, match=message):
         make("human").reset(seed=0)
+
+
+@pytest.mark.parametrize("perturbations", [["longer--30..35", "rotation--60..60"], "joint-noise"])
+def test_a_vector_draws_what_its_arms_would_draw(perturbations):
+    made = {"perturbations": perturbations, "max_episode_steps": 4, "render_mode": "rgb_array"}
+    made |= {"num_envs": 3, "width": 96, "height": 96}
+    native = gym.make_vec("MMCReachViaPoints-v0", **made)
+    sync = gym.make_vec("MMCReachViaPoints-v0", vectorization_mode="sync", **made)
+    for envs in (native, sync):
+        envs.reset(seed=3)
+    for action in np.random.default_rng(0).uniform(-1, 1, (7, 3, 3)).astype(np.float32):
+        np.testing.assert_array_equal(native.render(), sync.render())
+        native.step(action)
+        sync.step(action)
+
+
+@pytest.mark.slow
+def test_gymnasium_films_a_native_vector(tmp_path):
+    envs = gym.make_vec("MMCReach-v0", num_envs=4, render_mode="rgb_array", max_episode_steps=10)
+    films = RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda episode: episode == 0)
+    films.reset(seed=0)
+    for _ in range(12):
+        films.step(films.action_space.sample())
+    films.close()
+    assert [path.suffix for path in tmp_path.glob("films/*") if path.stat().st_size > 1000] == [
+        ".mp4"
+    ]

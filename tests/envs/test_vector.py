@@ -78,6 +78,10 @@ MIXTURES = [
     [OneOf("no-feedback", "endpoint-feedback-at-0.1", None), "vision-delay-0..60"],
     [OneOf("obstacles-1..3", "longer-0..20", None), "force-field-0..40-at-0.04-over-0.04"],
     [VisuomotorRotation(uniform(-60, 120), at=uniform(0, 0.2)), "clamp--30..30"],
+    ["motor-gain-0.3..1-of-2", "action-delay-0..60", "action-noise-0.1-at-0.04", "backlash"],
+    ["longer-0..30-of-1", "stuck-sensor-1..3-at-0.04-until-0.1", "held-numbers-0.3-for-2"],
+    [OneOf("locked-1..3-at-0.02-until-0.08", "dropped-actions-0..0.4", None), "encoder-16..64"],
+    ["observation-noise-0..0.1", "repeated-actions-0.5", "delay-0..60", "cursor-shift--0.3..0.3"],
 ]
 DRAWN = {"observe_context": True, "max_episode_steps": 7}
 VARIANTS += [("random", {"perturbations": mixture, **DRAWN}) for mixture in MIXTURES]
