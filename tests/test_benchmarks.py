@@ -1,14 +1,13 @@
 """The benchmarks: losses of speed, and solvers on few problems."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from benchmarks.history import Run, SpeedRow, losses, read_runs, write_run
+from tests.processes import run_python
 
 
 def runs(*ratios, **facts):
@@ -53,8 +52,8 @@ def test_the_network_reaches_what_the_arm_can_reach_as_given_and_changed(tmp_pat
     pytest.importorskip("pinocchio", reason="needs the extra inverse-kinematics")
     tables = ("reach", "locked", "longer", "outside", "elbow")
     script = Path(__file__).parents[1] / "benchmarks" / "inverse_kinematics.py"
-    command = [sys.executable, script, "--robots", "iiwa", "--out", tmp_path, "--problems", "5"]
-    subprocess.run([*command, "--tables", *tables], check=True, cwd=tmp_path)
+    options = ("--robots", "iiwa", "--out", tmp_path, "--problems", "5", "--tables", *tables)
+    run_python(script, *options, folder=tmp_path)
     rows = {name: json.loads((tmp_path / f"{name}-iiwa-1.json").read_text()) for name in tables}
     for table in ("reach", "locked", "longer", "elbow"):
         own = [row for row in rows[table] if row["solver"] == "mmc-gym"]

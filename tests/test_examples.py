@@ -1,16 +1,16 @@
 """Every example and notebook shows what it says."""
 
 import json
-import os
 import re
 import runpy
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+
+from tests.processes import run_python
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.py"))
@@ -112,10 +112,7 @@ def test_a_notebook_runs_and_shows_figures(name, tmp_path):
     shutil.copy(NOTEBOOK_FOLDER / name, tmp_path)  # in a folder that takes what it writes
     options = ["--nbmake", "--overwrite", "--nbmake-timeout=300", "-p", "no:cacheprovider"]
     # A notebook draws into itself unless another backend is asked for.
-    environment = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}
-    command = [sys.executable, "-m", "pytest", *options, name]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
+    run_python("-m", "pytest", *options, name, folder=tmp_path, without={"MPLBACKEND"})
     outputs = outputs_of(tmp_path / name)
     assert any("image/png" in one.get("data", ()) for one in outputs)
     streams = [one for one in outputs if one["output_type"] == "stream"]

@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import subprocess
 import sys
 import threading
 import types
@@ -14,15 +13,15 @@ import numpy as np
 import pytest
 
 import mmc_gym
-from mmc_gym import _identity
-from mmc_gym._errors import MismatchWarning
+from mmc_gym import MismatchWarning, _identity
 from mmc_gym._files import import_modules
 from mmc_gym._identity import identity
-from mmc_gym.agents.resolver import resolve
+from mmc_gym.agents import resolve
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.envs.scenarios import as_json, parse_environment, parse_scenario
 from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.measures.catalogue import own_measures
+from tests.processes import run_python
 
 FILES = {
     "own_things.py": """
@@ -199,8 +198,7 @@ def test_a_script_counts_by_the_code_that_is_used_wherever_it_stands(folder):
             source=os.path.dirname(mmc_gym.__path__[0]), gain=gain, below=below
         )
         (folder / "script.py").write_text(script)
-        done = subprocess.run([sys.executable, "script.py"], capture_output=True, check=True)
-        return done.stdout.split()
+        return run_python("script.py").split()
 
     before = identities()
     assert identities(above="\n\n# plot\n", below="print(3)")[:5] == before

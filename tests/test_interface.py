@@ -10,8 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
     OFFSET_SCALE,

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 import mmc_gym
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main

@@ -10,8 +10,7 @@ import pytest
 from scipy.linalg import solve_continuous_are
 
 from examples import reacher
-from mmc_gym import check_interface, make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, check_interface, make_agent
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes

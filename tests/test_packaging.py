@@ -1,10 +1,9 @@
 """What an installed mmc-gym is: light to import, complete in its wheel and its source archive."""
 
 import re
-import subprocess
-import sys
 import tarfile
 import zipfile
+from functools import partial
 from importlib.metadata import requires, version
 from pathlib import Path
 
@@ -12,28 +11,25 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from tests.processes import run_python
+
 ROOT = Path(__file__).resolve().parents[1]
 
 HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "pymunk", "rich", "scipy", "torch"}
 HEAVY |= {"stable_baselines3", "yaml"}
 
 
-def run_python(code):
-    """Return what a fresh interpreter prints."""
-    command = [sys.executable, "-W", "error", "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+run_strictly = partial(run_python, "-W", "error", "-c", folder=ROOT)
 
 
 def build(kind, folder):
     """Build the wheel or sdist of the source tree with the installed hatchling."""
     hook = f"import hatchling.build as b; print(b.build_{kind}({str(folder)!r}))"
-    return folder / run_python(hook).split()[-1]
+    return folder / run_strictly(hook).split()[-1]
 
 
 def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
-    loaded = run_python(
+    loaded = run_strictly(
         "import sys, mmc_gym; print(*{name.split('.')[0] for name in sys.modules})\n"
         "from mmc_gym.cli import main\n"
         "try: main(['--help'])\n"
@@ -45,7 +41,7 @@ def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
 
 
 def test_import_loads_few_modules_and_lines_of_ours():
-    shown = run_python(
+    shown = run_strictly(
         "import sys, mmc_gym\n"
         "print(*(one.__file__ for name, one in sys.modules.items() if name.startswith('mmc_gym')))"
     )
@@ -63,7 +59,7 @@ def test_every_requirement_is_pinned_exactly():
 
 
 def test_what_needs_numba_says_how_to_get_it():
-    shown = run_python(
+    shown = run_strictly(
         "import sys; sys.modules['numba'] = None\n"
         "try: import mmc_gym.body.analytic.arms\n"
         "except ImportError as error: print(error)"
@@ -72,7 +68,7 @@ def test_what_needs_numba_says_how_to_get_it():
 
 
 def test_public_names_are_at_the_top_and_loaded_when_they_are_used():
-    shown = run_python(
+    shown = run_strictly(
         "import gymnasium; gymnasium.make('mmc_gym:MMCReach-v0').close()\n"
         "import sys, mmc_gym\n"
         "assert set(mmc_gym.__all__) <= set(dir(mmc_gym))\n"

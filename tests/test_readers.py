@@ -18,8 +18,8 @@ from mmc_gym._files import UNSEALED, YAML_MOST, read_yaml, seal
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.agents.sb3 import SavedModel
 from mmc_gym.benchmark import store
-from mmc_gym.experiments import trials
 from mmc_gym.experiments.experiment import TRIALS_MOST, Block, Experiment, find_experiment
+from mmc_gym.experiments.trials import read_experiments
 from mmc_gym.network import LearnedNormalizer
 from mmc_gym.network.normalizers import WEIGHTS
 from mmc_gym.report import write_report
@@ -75,10 +75,14 @@ def test_what_a_file_of_trials_names_is_looked_up(name, bait, tmp_path):
     settings["experiment"]["blocks"][0]["perturbations"] = [name]
     for wrong in ({}, settings):  # another kind of file, or not of the digest in its name
         with_settings(file, wrong)
-        with pytest.raises(UserError, match=f"{file.name} is damaged"):
+        with pytest.raises(UserError, match=f"{file.name} is damaged") as error:
             write_report(tmp_path, tmp_path / "report.html")
+    renamed = file.rename(file.with_name(str(error.value).rpartition("it is ")[2]))
+    stems = (path.name.rsplit(".", 2)[0] for path in (file, renamed))
+    plan, renamed_plan = (file.with_name(f"{stem}.json") for stem in stems)
+    plan.rename(renamed_plan)
     with pytest.raises(UserError, match="is not accepted"):
-        trials._result([parse_cell(file.read_bytes())])
+        read_experiments(tmp_path)
 
 
 @pytest.mark.parametrize("content", ["[" * 100_000, "3", "[]", '{"settings": 1}', '{"facts": []}'])

@@ -29,6 +29,7 @@ from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_scenario
 from tests.conftest import resize, wait_until
+from tests.processes import run_python
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -176,9 +177,7 @@ def test_a_picture_shows_what_its_command_draws(name, command, file, frames, tmp
         pytest.importorskip("panda_gym")
     first, *others = command.split()
     script = ROOT / first
-    arguments = [script if script.exists() else first, *others]
-    done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True)
-    assert done.returncode == 0, done.stderr.decode()
+    run_python(script if script.exists() else first, *others, folder=tmp_path)
     drawn, shown = tmp_path / file, ROOT / "docs" / name
     assert drawn.suffix != ".gif" or drawn.stat().st_size < 500_000
     for frame in frames:

@@ -4,19 +4,17 @@ They run in a folder that has what the pages speak of: a benchmark, trainings, a
 stable-baselines3, and modules of the reader.  Long ones are shortened: see `SHORTER` and `SMALL`.
 """
 
-import os
 import re
 import runpy
 import shlex
 import shutil
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from mmc_gym.benchmark.suite import SCENARIOS
+from tests.processes import run_python
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -56,12 +54,8 @@ def commands(text):
 
 def run(folder, *command):
     """Run a command of Python in a folder; return what it prints."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    environment["MINARI_DATASETS_PATH"] = str(folder / "datasets")
-    command = (sys.executable, *command)
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    paths = {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder / "datasets")}
+    return run_python(*command, folder=folder, MPLBACKEND="Agg", **paths)
 
 
 def code_of(page, text):
