@@ -13,18 +13,12 @@ import pytest
 from rich.console import Console
 
 import mmc_gym
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark import runner
 from mmc_gym.benchmark.ranking import print_ranking
 from mmc_gym.benchmark.runner import benchmark
-from mmc_gym.benchmark.store import (
-    CellKey,
-    kept_cells,
-    read_episodes,
-    read_manifest,
-    read_paths,
-)
+from mmc_gym.benchmark.store import CellKey, kept_cells, read_episodes, read_manifest, read_paths
 from mmc_gym.envs.names import TASKS
 from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
@@ -66,6 +60,14 @@ def outside(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     yield "outside_agents"
     sys.modules.pop("outside_agents", None)
+
+
+def change_module(folder, old, new):
+    path = folder / "outside_agents.py"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    sys.modules.pop("outside_agents", None)
+    importlib.invalidate_caches()
 
 
 def play(agents, out, environments=ENVS, episodes=4, jobs=1, **arguments):
@@ -208,18 +210,10 @@ def test_a_cell_under_which_processes_die_has_failed_and_the_others_are_played(t
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc", "ik-dls"}
 
 
-def change_module(folder, old, new):
-    path = folder / "outside_agents.py"
-    assert old in path.read_text()
-    path.write_text(path.read_text().replace(old, new))
-    sys.modules.pop("outside_agents", None)
-    importlib.invalidate_caches()
-
-
 def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside, monkeypatch):
     source, seen = f"{outside}:constant", []
     play([source, "mmc"], tmp_path / "out")
-    (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
+    change_module(tmp_path, "import os", "# changed\nimport os")
     manifest = play([source, "mmc"], tmp_path / "out", ["random"], on_progress=seen.append)
     assert [progress.key.agent for progress in seen[1:]] == [source]
     assert manifest.reused == 1

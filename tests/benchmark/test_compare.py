@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import mmc_gym
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
@@ -167,21 +167,26 @@ def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
     first, *_, last = comparison.differences.splitlines()
     assert first.startswith("ik-dls, success at the end: ") and "mmc" in first and "random" in first
     assert last == "random, success at the end: 100.0 points lower than mmc [43.9, 100.0]"
+    with pytest.raises(UserError, match="focus must be a name, or several, got <function"):
+        compare(["mmc"], episodes=1, focus=lambda: "mmc")
 
 
-@pytest.mark.parametrize("function", [compare, partial(benchmark, out="never"), record])
+@pytest.mark.parametrize(
+    "function",
+    [
+        compare,
+        partial(benchmark, out="never"),
+        partial(record, "film.gif"),
+        partial(mmc_gym.run_experiment, "rotation-30", out="never"),
+    ],
+    ids=["compare", "benchmark", "record", "run_experiment"],
+)
 @pytest.mark.parametrize("wrong", [0.5, 0, "", float, [("a", 1)], {1: 2}])
 def test_arguments_of_environments_are_by_name(function, wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    arguments = {"out": "film.gif"} if function is record else {}
     with pytest.raises(UserError, match="env_kwargs must be a mapping of names to values, got"):
-        function(agents=["mmc"], env_kwargs=wrong, **arguments)
+        function(agents=["mmc"], env_kwargs=wrong)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_is_in_focus_is_named():
-    with pytest.raises(UserError, match="focus must be a name, or several, got <function"):
-        compare(["mmc"], episodes=1, focus=lambda: "mmc")
 
 
 def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_episode):

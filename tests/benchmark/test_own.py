@@ -1,8 +1,7 @@
 """Your own environments, rewards, tasks, perturbations and agents, wherever these are named."""
 
-import subprocess
-import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -10,8 +9,7 @@ import numpy as np
 import pytest
 
 import mmc_gym
-from mmc_gym import perturbation
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, perturbation
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes, read_manifest
@@ -22,6 +20,7 @@ from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.envs.tasks import RandomTarget, Trial
 from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.report import write_report
+from tests.processes import run_python
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,10 @@ class Here(RandomTarget):
 
 def carry(arms, mass):
     arms.hand_mass[:] = mass
+
+
+def push(arms, curl):
+    arms.force_field[:, 0, 1] += curl
 
 
 class Flat(gym.Wrapper):
@@ -122,10 +125,6 @@ def test_an_own_perturbation_is_drawn_timed_native_and_shown():
         assert right == pytest.approx(steps / 20)
 
 
-def push(arms, curl):
-    arms.force_field[:, 0, 1] += curl
-
-
 def test_a_perturbation_that_changes_nothing_or_too_much_is_refused():
     perturbation("idle")(lambda arms, strength: None)
     with pytest.raises(UserError, match="idle-1 must be one that overwrites columns of the arms"):
@@ -140,36 +139,23 @@ def test_a_perturbation_that_changes_nothing_or_too_much_is_refused():
             perturbation("nothing")(wrong)
 
 
-def misspell(arms, strength):
-    arms.sevo_gain = strength
-
-
-def shrink(arms, strength):
-    arms.servo_gain = 6.0
-
-
-def mix(arms, strength):
-    arms.shift[:, 0] += strength[0]
-
-
-def misshape(arms, strength):
-    arms.segment_masses *= strength
-
-
 @pytest.mark.parametrize(
-    ("function", "message"),
+    ("assignment", "message"),
     [
-        (misspell, "the function of mine fails for an arm: AttributeError: .*sevo_gain"),
-        (shrink, r"column servo_gain must be an array of shape \(1,\), got 6.0"),
+        ("sevo_gain = x", "the function of mine fails for an arm: AttributeError: .*sevo_gain"),
+        ("servo_gain = 6.0", r"column servo_gain must be an array of shape \(1,\), got 6.0"),
+        ("shift[:, 0] += x[0]", "changes each arm by its own strength alone, got .'shift'"),
         (
-            mix,
-            "changes each arm by its own strength alone, got .'shift'",
+            "segment_masses *= x",
+            "changes each arm by its own strength alone, got .'segment_masses'",
         ),
-        (misshape, "changes each arm by its own strength alone, got .'segment_masses'"),
     ],
 )
-def test_a_function_that_does_not_change_each_arm_is_refused_in_a_line(function, message):
-    perturbation("mine", neutral=1.0, default=3.0)(function)
+def test_a_function_that_does_not_change_each_arm_is_refused_in_a_line(assignment, message):
+    def change(arms, x):
+        exec(f"arms.{assignment}")
+
+    perturbation("mine", neutral=1.0, default=3.0)(change)
     with pytest.raises(UserError, match=message):
         mmc_gym.make("mine-0..2", segment_lengths=(1.0,) * 3)
 
@@ -237,10 +223,7 @@ def test_what_makes_no_agent_of_an_environment_is_refused(agent, error, message)
 def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
     (tmp_path / "my_things.py").write_text(EXAMPLE.read_text() + MY_ARM)
 
-    def run(*arguments):
-        command = [sys.executable, "-m", "mmc_gym.cli", *arguments]
-        return subprocess.run(command, cwd=tmp_path, text=True, check=True, capture_output=True)
-
+    run = partial(run_python, "-m", "mmc_gym.cli", folder=tmp_path)
     mine = ("--import", "my_things")
     agents = ("--agents", "mmc", "still=my_things:still", "--episodes", "3")
     names = ("--scenarios", "ahead", "weak-30", "my_things:Squared", "my_things:MyArm-v0")
@@ -249,8 +232,8 @@ def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
     assert frame.groupby(["agent", "environment"])["half_way_time"].size().to_list() == [3] * 8
     assert frame.groupby("environment")["duration"].first()["my_things:MyArm-v0"] == 0.14
     run("record", *mine, "--agents", "my_things:still", "--scenarios", "MMCReachAhead-v0")
-    assert "targets straight ahead" in run("list", "tasks", *mine).stdout
-    assert "7 % of their torque" in run("show", "weak-7", *mine).stdout
+    assert "targets straight ahead" in run("list", "tasks", *mine)
+    assert "7 % of their torque" in run("show", "weak-7", *mine)
 
 
 def test_a_report_of_your_own_perturbation_imports_what_defines_it(tmp_path, monkeypatch):

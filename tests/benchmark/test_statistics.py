@@ -205,6 +205,15 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     assert both(values, values, seed=1).estimate("a", "mean") == first
 
 
+def test_means_of_resamples_begin_with_the_mean():
+    samples = np.array([[1.0, 2.0], [3.0, np.nan], [5.0, 4.0]])
+    means = resampled_means(samples, 200)
+    assert means.shape == (201, 2)
+    assert means[0] == pytest.approx([3.0, 3.0])
+    assert np.nanmin(means) >= 1.0 and np.nanmax(means) <= 5.0
+    assert means[1:, 0].std() == pytest.approx(np.sqrt(8 / 3 / 3), rel=0.2)
+
+
 TWO = rows("a", [[1.0, 2.0]])
 
 

@@ -7,8 +7,8 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from mmc_gym import UserError
 from mmc_gym._cells import parse_cell
-from mmc_gym._errors import UserError
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
