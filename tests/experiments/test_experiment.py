@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.envs.names import parse_change
 from mmc_gym.experiments.experiment import (
     EXPERIMENTS,

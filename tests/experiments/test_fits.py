@@ -28,6 +28,8 @@ SCHEDULES = {
     "clamped": (np.r_[NONE, TURN, NONE], np.r_[NEVER[60:], NONE]),
     "counter": (np.r_[NONE, TURN, -TURN[:20], NONE], np.r_[np.full(200, np.nan), NONE]),
 }
+COUNTER = SCHEDULES["counter"]
+MOVED_BY_COUNTER = dict(zip(("perturbation", "clamp"), COUNTER))
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
@@ -44,12 +46,9 @@ def test_two_states_are_found_again(schedule, learner, driven_by):
 
 
 def test_the_errors_that_were_seen_hold_the_noise_of_each_movement():
-    perturbation, clamp = SCHEDULES["counter"]
-    y, errors = (one[0] for one in simulate_learners(LEARNER, perturbation, clamp, noise=6.0))
-    own, seen = (
-        fit_curve(y, perturbation=perturbation, clamp=clamp, error=one) for one in (None, errors)
-    )
-    assert seen.mean_square < own.mean_square
+    y, errors = (arrays[0] for arrays in simulate_learners(LEARNER, *COUNTER, noise=6.0))
+    by_model, by_errors = (fit_curve(y, error=seen, **MOVED_BY_COUNTER) for seen in (None, errors))
+    assert by_errors.mean_square < by_model.mean_square
 
 
 @pytest.mark.parametrize(
@@ -62,14 +61,12 @@ def test_the_errors_that_were_seen_hold_the_noise_of_each_movement():
 )
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_the_criterion_tells_which_learner_it_is(learner, best, noise):
-    perturbation, clamp = SCHEDULES["counter"]
-    data = {"perturbation": perturbation, "clamp": clamp}
     for seed in range(3):
-        y, _ = simulate_learners(learner, perturbation, clamp, subjects=12, noise=noise, seed=seed)
-        fits = {kind: fit_curve(y.mean(axis=0), kind, **data) for kind in [*PARAMETERS][:4]}
+        curves, _ = simulate_learners(learner, *COUNTER, subjects=12, noise=noise, seed=seed)
+        y = curves.mean(axis=0)
+        fits = {kind: fit_curve(y, kind, **MOVED_BY_COUNTER) for kind in [*PARAMETERS][:4]}
         assert min(fits, key=lambda kind: fits[kind].bic) == best
-        chosen = choose_states(y.mean(axis=0), perturbation, clamp)
-        of_one, of_two = np.split(chosen, [2])
+        of_one, of_two = np.split(choose_states(y, *COUNTER), [2])
         assert np.isnan(of_one).all() == (best != "one-state")
         assert np.isnan(of_two).all() == (best != "two-state")
         if best == "one-state":
@@ -77,35 +74,33 @@ def test_the_criterion_tells_which_learner_it_is(learner, best, noise):
 
 
 def test_a_hand_that_corrects_within_the_movement_has_learned_nothing():
-    perturbation, clamp = SCHEDULES["counter"]
+    perturbation, clamp = COUNTER
     curve = 0.4 * np.where(np.isnan(clamp), perturbation, clamp)
     curve += np.random.default_rng(0).normal(0.0, 1.0, len(curve))
-    data = {"perturbation": perturbation, "clamp": clamp}
-    assert fit_curve(curve, "correction", **data).parameters["gain"] == pytest.approx(0.4, abs=0.02)
-    assert np.isnan(choose_states(curve, **{f"{name}s": one for name, one in data.items()})).all()
+    gain = fit_curve(curve, "correction", **MOVED_BY_COUNTER).parameters["gain"]
+    assert gain == pytest.approx(0.4, abs=0.02)
+    assert np.isnan(choose_states(curve, perturbations=perturbation, clamps=clamp)).all()
     assert np.isnan(fit_curve(curve, "correction").bic)  # nothing moved it
 
 
 def test_resamples_are_fitted_as_curves_are_alone():
-    perturbation, clamp = SCHEDULES["counter"]
-    curves, _ = simulate_learners(LEARNER, perturbation, clamp, subjects=6, noise=2.0)
-    together = choose_states(curves, perturbation, clamp)
-    alone = [choose_states(curve, perturbation, clamp) for curve in curves]
+    curves, _ = simulate_learners(LEARNER, *COUNTER, subjects=6, noise=2.0)
+    together = choose_states(curves, *COUNTER)
+    alone = [choose_states(curve, *COUNTER) for curve in curves]
     assert together.shape == (6, 6)
     assert together == pytest.approx(np.array(alone), abs=1e-4, nan_ok=True)
 
 
 def test_a_table_has_a_fit_for_each_subject_and_model_or_of_the_mean():
-    perturbation, clamp = SCHEDULES["counter"]
-    y, errors = simulate_learners(LEARNER, perturbation, clamp, subjects=3, noise=1.0)
+    y, errors = simulate_learners(LEARNER, *COUNTER, subjects=3, noise=1.0)
     subjects, trials = y.shape
     table = pd.DataFrame(
         {
             "who": np.repeat([*"abc"], trials),
             "trial": np.tile(np.arange(trials), subjects),
             "hand": y.ravel(),
-            "turn": np.tile(perturbation, subjects),
-            "clamp": np.tile(clamp, subjects),
+            "turn": np.tile(COUNTER[0], subjects),
+            "clamp": np.tile(COUNTER[1], subjects),
             "error": errors.ravel(),
         }
     )
@@ -114,11 +109,10 @@ def test_a_table_has_a_fit_for_each_subject_and_model_or_of_the_mean():
     assert [*found["who"]] == [*"aabbcc"] and [*found["model"]] == ["one-state", "two-state"] * 3
     assert found.loc[found["best"], "model"].eq("two-state").all()
     (of_mean,) = fit(table, "two-state", **columns).to_dict("records")
-    arrays = {"perturbation": perturbation, "clamp": clamp}
-    expected = fit_curve(y.mean(axis=0), **arrays).parameters["B_f"]
+    expected = fit_curve(y.mean(axis=0), **MOVED_BY_COUNTER).parameters["B_f"]
     assert of_mean["B_f"] == pytest.approx(expected, abs=1e-6)
     seen = fit(table, "two-state", by=["who"], error="error", **columns)
-    alone = fit_curve(y[1], error=errors[1], **arrays)
+    alone = fit_curve(y[1], error=errors[1], **MOVED_BY_COUNTER)
     assert seen["A_s"][1] == alone.parameters["A_s"]
     with pytest.raises(UserError, match=r"column 'turned', got \['who', 'trial'"):
         fit(table, y="hand", perturbation="turned")
@@ -131,13 +125,10 @@ def table():
     """Three subjects of one state in order of their trials."""
     perturbation = np.r_[NONE[:20], TURN[:60]]
     rows = {"trial": np.arange(80), "perturbation": perturbation}
-    of_each = [
-        simulate_learners(ONE_STATE._replace(B_s=rate), perturbation)[0][0]
-        for rate in (0.08, 0.1, 0.12)
-    ]
-    tables = [
-        pd.DataFrame({"subject": who, "adaptation": y, **rows}) for who, y in enumerate(of_each)
-    ]
+    tables = []
+    for subject, rate in enumerate((0.08, 0.1, 0.12)):
+        curves, _ = simulate_learners(ONE_STATE._replace(B_s=rate), perturbation)
+        tables.append(pd.DataFrame({"subject": subject, "adaptation": curves[0], **rows}))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -164,34 +155,28 @@ def test_rows_without_a_subject_are_a_curve_of_their_own(table):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("column", "change", "said"),
     [
-        ({"adaptation": lambda rows: -rows["adaptation"]}, "y seems to have the other sign"),
-        ({"perturbation": lambda rows: -rows["perturbation"]}, "y seems to have the other sign"),
-        ({"adaptation": lambda rows: np.radians(rows["adaptation"])}, "y seems to be in radians"),
-        (
-            {"perturbation": lambda rows: np.radians(rows["perturbation"])},
-            "y seems to be in degrees",
-        ),
+        ("adaptation", np.negative, "y seems to have the other sign"),
+        ("perturbation", np.negative, "y seems to have the other sign"),
+        ("adaptation", np.radians, "y seems to be in radians"),
+        ("perturbation", np.radians, "y seems to be in degrees"),
     ],
 )
-def test_another_sign_or_unit_is_said_in_one_line(table, change, said):
+def test_another_sign_or_unit_is_said_in_one_line(table, column, change, said):
+    table[column] = change(table[column])
     with pytest.warns(UserWarning, match=said) as warned:
-        fit(table.assign(**change), by="subject")
+        fit(table, by="subject")
     assert len(warned) == 1 and warned[0].filename == __file__
-    y, perturbation = (table.assign(**change)[name] for name in ("adaptation", "perturbation"))
     with pytest.warns(UserWarning, match=said):
-        fit_curve(y[:80], "two-state", perturbation=perturbation[:80])
+        fit_curve(table["adaptation"][:80], perturbation=table["perturbation"][:80])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda rows: pd.concat([rows, rows[:2]]), r"once in subject 0; .*, got \[0.0, 1.0\]"),
-        (
-            lambda rows: rows.assign(trial=rows["trial"].replace(3, np.nan)),
-            r"trial must be .* \[nan",
-        ),
+        (lambda rows: rows.replace({"trial": {3: np.nan}}), r"trial must be .* \[nan"),
         (lambda rows: rows[:0], "rows of the table must be at least one, got 0"),
         (lambda rows: rows.assign(adaptation="far"), "adaptation must be numbers: .* 'far'"),
     ],
@@ -213,7 +198,7 @@ def test_a_table_that_has_no_curves_is_refused(table, change, message, by):
         ({"y": [1.0, [2.0, 3.0]]}, "y must be numbers: "),
         (
             {"perturbation": TURN},
-            r"perturbation must be a number, or of shape \(3,\) as y, got \(120,",
+            r"perturbation must be a number, or of shape \(3,\) as y, got \(120",
         ),
         ({"model": "gaussian", "x": [1, 2]}, r"x must be a number, or of shape"),
     ],

@@ -13,8 +13,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from mmc_gym import TrialLearner, make_vec
-from mmc_gym._errors import UserError
+from mmc_gym import TrialLearner, UserError, make_vec
 from mmc_gym.experiments import trials
 from mmc_gym.experiments.adaptation import learning_of
 from mmc_gym.experiments.experiment import Block, Experiment, Probe
@@ -59,6 +58,12 @@ def are_equal(one: ExperimentResult, other: ExperimentResult) -> bool:
     paths = ("hands", "cursors", "targets")
     same = [np.array_equal(getattr(one, name), getattr(other, name)) for name in paths]
     return all(same) and one.trials.equals(other.trials)
+
+
+def printed(result: ExperimentResult) -> str:
+    console = Console(record=True, width=300)
+    result.print(console)
+    return console.export_text()
 
 
 def test_a_row_says_what_happened_in_a_trial() -> None:
@@ -197,11 +202,9 @@ def test_how_agents_went_through_is_stated_wherever_they_are(tmp_path: Path) -> 
     agents = ["mmc-body", "ppo-memory"]
     result = run_experiment(SHORT, agents, 1, 0, tmp_path, keep=["ppo-memory"], jobs=1, **shares)
     told = "rate 0.2, 0.02, retention 0.6, 1"
-    (drawn,) = result.plot().legends
-    console = Console(record=True, width=300)
-    result.print(console)
+    (legend,) = result.plot().legends
     report = write_report(tmp_path, tmp_path / "report.md", format="md").read_text()
-    for text in (drawn.get_texts()[0].get_text(), console.export_text(), report):
+    for text in (legend.get_texts()[0].get_text(), printed(result), report):
         assert told in text
     written = [path.read_text() for path in result.write(tmp_path) if path.suffix == ".csv"]
     assert all("0.2, 0.02" in text for text in written)
@@ -247,9 +250,6 @@ def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Pat
         ({"experiment": GRADUAL}, "'b' of .* would delay nothing"),
         ({"env_kwargs": {"perturbations": ["rotation-90"]}}, "perturbations must be left out"),
         ({"env_kwargs": {"max_episode_steps": 9}}, "max_episode_steps must be left out"),
-        ({"env_kwargs": float}, "env_kwargs must be a mapping of names to values, got <class"),
-        ({"env_kwargs": 0}, "env_kwargs must be a mapping of names to values, got 0"),
-        ({"env_kwargs": {1: 2}}, "env_kwargs must be a mapping of names to values, got {1: 2}"),
         ({"keep": ["ppo"]}, "keep 'ppo'"),
         ({"keep": "ppo"}, "keep 'ppo'"),
         ({"keep": print}, "keep must be a name, or several, got <built-in function print>"),
@@ -270,9 +270,7 @@ def test_what_cannot_be_played_is_refused_before_anything_is(wrong, message, mon
 def test_an_experiment_without_any_measure_is_printed_and_reported(tmp_path: Path) -> None:
     plain = Experiment("plain", (Block("baseline", 4, targets=(0.0,)),), trial_seconds=0.3)
     result = run_experiment(plain, ["ik-dls"], 1, out=tmp_path, jobs=1)
-    console = Console(record=True)
-    result.print(console)
-    assert "No agent has a value" in console.export_text()
+    assert "No agent has a value" in printed(result)
     result.write(tmp_path)
     for kind in ("html", "md"):
         assert "ik-dls" in write_report(tmp_path, tmp_path / "report", format=kind).read_text()
