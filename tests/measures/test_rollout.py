@@ -9,8 +9,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 
 import mmc_gym
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.measures import measure_all, rollout
 from mmc_gym.measures.reaching import time_to_target
