@@ -126,15 +126,5 @@ def results(benchmark_store):
 
 
 @pytest.fixture(scope="session")
-def make_store():
-    return write_store
-
-
-@pytest.fixture(scope="session")
-def movers():
-    return AGENTS
-
-
-@pytest.fixture(scope="session")
 def report_file(benchmark_store, tmp_path_factory):
     return write_report(benchmark_store, tmp_path_factory.mktemp("report") / "report.html", 200)

@@ -15,6 +15,7 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.report import write_report
 from tests.conftest import assert_quiet, resize, wait_until
+from tests.report.conftest import HOSTILE
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
 
@@ -81,7 +82,7 @@ def screenshot(browser, name):
 def test_nothing_is_logged_and_nothing_loaded_from_a_network(page):
     assert_quiet(page)
     # A name that is a script does not run.
-    assert "<script>alert(1)</script>" in page.execute_script("return document.body.innerText")
+    assert HOSTILE in page.execute_script("return document.body.innerText")
     screenshot(page, "report.png")
 
 

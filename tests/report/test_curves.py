@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import load_policy, save_policy, shipped_file
 from mmc_gym.report.curves import curve_rows, draw_learning_curves, mean_curves, read_cards

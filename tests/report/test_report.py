@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.cli import main
@@ -15,8 +15,8 @@ from mmc_gym.experiments.experiment import Block, Experiment
 from mmc_gym.experiments.trials import run_experiment
 from mmc_gym.report import replay, write_report
 from mmc_gym.report.results import read_results
+from tests.report.conftest import AGENTS, HOSTILE, write_store
 
-HOSTILE = "<script>alert(1)</script>"
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 
 
@@ -68,8 +68,8 @@ def test_the_report_is_about_the_users_own_agent_from_its_first_line(text):
     assert text.count("<script") == 2
 
 
-def test_an_agent_in_focus_with_a_learning_curve_has_a_figure(make_store, tmp_path):
-    make_store(tmp_path, ["mmc", "ppo"], ("random",))
+def test_an_agent_in_focus_with_a_learning_curve_has_a_figure(tmp_path):
+    write_store(tmp_path, ["mmc", "ppo"], ("random",))
     page = write_report(tmp_path, tmp_path / "a.html", 20, focus="ppo").read_text()
     assert page.count("<img") == page.count('alt="Success during training') == 1
 
@@ -85,9 +85,9 @@ def test_markdown_has_the_tables_and_no_markup_of_the_user(benchmark_store, tmp_
     assert "success at the end, %" in file.read_text()
 
 
-def test_a_report_in_which_no_agent_succeeds(make_store, movers, tmp_path):
-    lost = {name: movers["mmc"]._replace(lost=0, duration=900, source="mmc") for name in "ab"}
-    make_store(tmp_path, lost, ("random",))
+def test_a_report_in_which_no_agent_succeeds(tmp_path):
+    lost = {name: AGENTS["mmc"]._replace(lost=0, duration=900, source="mmc") for name in "ab"}
+    write_store(tmp_path, lost, ("random",))
     for file in tmp_path.glob("*/minimum*"):
         file.unlink()
     assert read_episodes(tmp_path)["success"].eq(0).all()
@@ -125,8 +125,8 @@ def test_the_replay_shows_cursors_and_arms_that_lead_to_the_hand(results):
     np.testing.assert_allclose(end, rows[["cursor_x", "cursor_y"]].iloc[-1], atol=6e-4)
 
 
-def test_the_command_writes_the_report(make_store, tmp_path, capsys):
-    make_store(tmp_path, ["mmc"], ("random",), instances=5)
+def test_the_command_writes_the_report(tmp_path, capsys):
+    write_store(tmp_path, ["mmc"], ("random",), instances=5)
     main(["report", str(tmp_path)])
     assert str(tmp_path / "report.html") in capsys.readouterr().out
     out = tmp_path / "deep" / "new" / "report.html"
@@ -178,8 +178,8 @@ def test_a_store_of_experiments_has_a_report_of_them(experiments, tmp_path):
             write_report(experiments, file, focus=focus)
 
 
-def test_a_report_has_benchmark_and_experiments_of_a_store(experiments, make_store, tmp_path):
-    make_store(tmp_path, ["mmc"], ("random",), instances=5)
+def test_a_report_has_benchmark_and_experiments_of_a_store(experiments, tmp_path):
+    write_store(tmp_path, ["mmc"], ("random",), instances=5)
     (tmp_path / "trials").symlink_to(experiments / "trials")
     text = write_report(tmp_path, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h1>mmc</h1>" in text and 'id="good"' in text and 'id="experiments"' in text

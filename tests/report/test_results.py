@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mmc_gym._errors import UserError
+from mmc_gym import UserError
 from mmc_gym.agents import resolve
 from mmc_gym.agents.policy import PRETRAINED, load_policy, save_policy
 from mmc_gym.agents.registry import REFERENCE
@@ -12,12 +12,13 @@ from mmc_gym.benchmark.store import CellKey, NotPlayed, Policy, update_manifest
 from mmc_gym.report import write_report
 from mmc_gym.report.results import identify, read_results
 from mmc_gym.report.tables import given_table, ranking_table
+from tests.report.conftest import AGENTS, write_store
 
 
 @pytest.fixture
-def small(make_store, tmp_path):
+def small(tmp_path):
     """A store of two agents in one environment."""
-    make_store(tmp_path / "store", ["mmc", "ik-dls"], ("random",))
+    write_store(tmp_path / "store", ["mmc", "ik-dls"], ("random",))
     return tmp_path / "store"
 
 
@@ -78,10 +79,10 @@ def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
     assert (identity.knowledge.kind, identity.cards) == ("yours", ())
 
 
-def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, movers, tmp_path):
+def test_another_name_changes_nothing_and_a_name_proves_nothing(tmp_path):
     sources = {"twin": "mmc", "old": "ppo-0", "ppo-mine": "mine:make"}
-    agents = {name: movers["ik-dls"]._replace(source=source) for name, source in sources.items()}
-    make_store(tmp_path, agents, ("random",))
+    agents = {name: AGENTS["ik-dls"]._replace(source=source) for name, source in sources.items()}
+    write_store(tmp_path, agents, ("random",))
     results = read_results(tmp_path, 20)
     assert [results.kind(name) for name in sources] == ["network", "learned", "yours"]
     assert results.focus == ("ppo-mine",)
@@ -120,19 +121,19 @@ def test_an_agent_that_failed_everywhere_is_ranked(small, tmp_path):
         read_results(small)
 
 
-def test_the_focus_is_as_given_or_your_own_agents_or_the_first(small, make_store, movers, tmp_path):
+def test_the_focus_is_as_given_or_your_own_agents_or_the_first(small, tmp_path):
     assert read_results(small, 20).focus == ("mmc",)
     assert read_results(small, 20, ["ik-dls"]).focus == ("ik-dls",)
-    mine = movers["mmc"]._replace(lost=1, source="mine:make")
-    make_store(tmp_path / "own", {"mmc": movers["mmc"], "mine": mine}, ("random",))
+    mine = AGENTS["mmc"]._replace(lost=1, source="mine:make")
+    write_store(tmp_path / "own", {"mmc": AGENTS["mmc"], "mine": mine}, ("random",))
     results = read_results(tmp_path / "own", 20)
     assert results.focus == ("mine",) and results.agents[0] == "mine"
     assert results.agents[-1] == REFERENCE
 
 
-def test_settings_name_the_scenarios_where_they_differ(make_store, tmp_path):
+def test_settings_name_the_scenarios_where_they_differ(tmp_path):
     other = {"tolerance": 3.0, "segment_lengths": [1, 2], "kwargs": {"gravity": [0, -9]}}
-    make_store(tmp_path, ["mmc"], ("random", "centre-out", "delay-100"), worlds={"random": other})
+    write_store(tmp_path, ["mmc"], ("random", "centre-out", "delay-100"), worlds={"random": other})
     assert read_results(tmp_path, 20).settings == [
         "Success: distance to the target at the end of at most: 0.05; 3 in random.",
         "Control step: 0.02 s.",
@@ -148,6 +149,6 @@ def test_settings_name_the_scenarios_where_they_differ(make_store, tmp_path):
         (("rotation-15", "centre-out"), "centre-out"),
     ],
 )
-def test_the_base_is_without_perturbation_if_there_is_such(names, base, make_store, tmp_path):
-    make_store(tmp_path, ["mmc"], names)
+def test_the_base_is_without_perturbation_if_there_is_such(names, base, tmp_path):
+    write_store(tmp_path, ["mmc"], names)
     assert read_results(tmp_path, 20).base == base

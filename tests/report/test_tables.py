@@ -9,6 +9,7 @@ from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.report import replay, tables, write_report
 from mmc_gym.report.results import read_results
+from tests.report.conftest import write_store
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
@@ -96,8 +97,8 @@ def test_one_lucky_success_and_a_value_that_is_not_finite_are_never_the_best(res
     assert best and "–" not in best
 
 
-def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store, tmp_path):
-    make_store(tmp_path, ["mmc", "mmc-body", "ik-dls"], ("rotation-60", "random"), instances=1)
+def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(tmp_path):
+    write_store(tmp_path, ["mmc", "mmc-body", "ik-dls"], ("rotation-60", "random"), instances=1)
     results = read_results(tmp_path, 50, ["mmc"])
     cells = [cell for row in tables.scenario_table(results, "mmc").rows for cell in row.cells]
     cells += [cell for row in tables.ranking_table(results).rows for cell in row.cells]
@@ -107,18 +108,18 @@ def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(make_store
     assert "in 50.0 % of its episodes, rank 1 of 3." in text and "nan" not in str(cells)
 
 
-def test_regret_in_a_single_episode_has_no_interval(make_store, movers, tmp_path):
-    agents = {"mmc": movers["mmc"], "ppo-drawn": movers["ppo"]}
-    make_store(tmp_path, agents, ("random", "rotation-60"), instances=1)
+def test_regret_in_a_single_episode_has_no_interval(tmp_path):
+    agents = {"mmc": MOVERS["mmc"], "ppo-drawn": MOVERS["ppo"]}
+    write_store(tmp_path, agents, ("random", "rotation-60"), instances=1)
     table = tables.generalisation_table(read_results(tmp_path, 50, yardstick="ppo-drawn"))
     regrets = [cell.notes for row in table.rows if row.name == "mmc" for cell in row.cells]
     assert regrets == [("0.0",), ()]
 
 
-def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(make_store, tmp_path):
+def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(tmp_path):
     missing = [("ppo", 1, "rotation-15"), ("ppo", 1, "centre-out")]
     keys = ("random", "centre-out", "rotation-15", "rotation-60")
-    make_store(tmp_path, ["mmc", "ik-dls", "ppo"], keys, missing)
+    write_store(tmp_path, ["mmc", "ik-dls", "ppo"], keys, missing)
     text = write_report(tmp_path, tmp_path / "report.html", 50).read_text()
     assert "Trainings: ppo 2;" in text
     assert "(2 more were not attempted by all)" in text
