@@ -75,28 +75,30 @@ def play(agents, out, environments=ENVS, episodes=4, jobs=1, **arguments):
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory):
+def stored_benchmark(tmp_path_factory):
     """The store of a benchmark of mmc and the ideal hand, and its manifest; not to be changed."""
     out = tmp_path_factory.mktemp("played")
     return out, play(["mmc", REFERENCE], out, episodes=np.int64(4))
 
 
-def assert_same_stores(one, other):
+def assert_same_stores(store, other):
     """All is the same that does not depend on when, where and in which order cells were played."""
     for read in (read_episodes, read_paths):
-        pd.testing.assert_frame_equal(*map(read, (one, other)))
+        pd.testing.assert_frame_equal(*map(read, (store, other)))
 
 
-def test_a_store_holds_the_episodes_of_rollouts(played):
-    out, manifest = played
+def test_a_store_holds_the_episodes_of_rollouts(stored_benchmark):
+    out, manifest = stored_benchmark
     frame = read_episodes(out).set_index(["agent", "environment"])
     assert frame.loc[("mmc", "centre-out")].shape[0] == 8  # all its trials, once each
     assert frame.loc[(REFERENCE, "random"), "success"].tolist() == [1.0] * 4
     env = gym.make("MMCReach-v0")
     alone = run_episodes(mmc_gym.make_agent("mmc", env), env, episode_seeds(0, 4))
-    expected = [(one.seed, one.distances[-1], one.servo_work.sum()) for one in alone]
-    found = frame.loc[("mmc", "random"), ["seed", "final_distance", "joint_work"]]
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    expected = [
+        (episode.seed, episode.distances[-1], episode.servo_work.sum()) for episode in alone
+    ]
+    stored = frame.loc[("mmc", "random"), ["seed", "final_distance", "joint_work"]]
+    np.testing.assert_allclose(stored, expected, atol=1e-9)
     assert len(read_paths(out).query("agent == 'mmc' and environment == 'centre-out'")) == 8 * 101
     assert manifest == read_manifest(out)
     assert manifest.environments["random"]["segment_lengths"] == [1.0, 1.0, 1.0]
@@ -109,23 +111,25 @@ def test_the_lowest_training_seed_keeps_paths_of_the_first_instances_and_failure
 ):
     monkeypatch.setattr(runner, "PATHS_KEPT", 1)
     monkeypatch.setattr(runner, "FAILURES_KEPT", 2)
-    played = [False, True, False, True, True]  # is it a failure?
-    monkeypatch.setattr(runner, "success", lambda one: not played[seeds.index(one.seed)])
-    seeds = episode_seeds(0, len(played))
-    play(["x=ppo-3", "y=sac-2", "y=sac-1"], tmp_path, ["random"], len(played))
-    kept = read_paths(tmp_path)
-    assert kept.groupby("agent")["training_seed"].unique().to_dict() == {"x": [3], "y": [1]}
-    assert kept["instance"].unique().tolist() == [0, 1, 3]
+    fails = [False, True, False, True, True]  # is it a failure?
+    monkeypatch.setattr(runner, "success", lambda episode: not fails[seeds.index(episode.seed)])
+    seeds = episode_seeds(0, len(fails))
+    play(["x=ppo-3", "y=sac-2", "y=sac-1"], tmp_path, ["random"], len(fails))
+    paths = read_paths(tmp_path)
+    assert paths.groupby("agent")["training_seed"].unique().to_dict() == {"x": [3], "y": [1]}
+    assert paths["instance"].unique().tolist() == [0, 1, 3]
     assert len(read_episodes(tmp_path).groupby(["agent", "training_seed"])) == 3
 
 
 def test_settings_are_those_of_the_environments_that_were_played(tmp_path):
-    given = {"success_distance": 3.0, "segment_lengths": [1, 0.5], "substeps": 8}
-    play(["random"], tmp_path, ["random", "longer-20", "longer-20-known"], 2, env_kwargs=given)
+    env_kwargs = {"success_distance": 3.0, "segment_lengths": [1, 0.5], "substeps": 8}
+    play(["random"], tmp_path, ["random", "longer-20", "longer-20-known"], 2, env_kwargs=env_kwargs)
     assert read_episodes(tmp_path)["success"].eq(1).all()
-    found = read_manifest(tmp_path).environments
-    assert {(one["tolerance"], one["control_step"]) for one in found.values()} == {(3.0, 0.04)}
-    lengths = {name: one["segment_lengths"] for name, one in found.items()}
+    worlds = read_manifest(tmp_path).environments
+    assert {(world["tolerance"], world["control_step"]) for world in worlds.values()} == {
+        (3.0, 0.04)
+    }
+    lengths = {name: world["segment_lengths"] for name, world in worlds.items()}
     assert lengths == {"random": [1, 0.5], "longer-20": [1, 0.5], "longer-20-known": [1, 0.6]}
 
 
@@ -134,19 +138,19 @@ def test_cells_that_are_there_are_not_played_again(tmp_path):
     play(["mmc"], tmp_path / "grown", ["random"])
     play(["mmc", "ik-dls"], tmp_path / "grown", on_progress=seen.append)
     assert seen[0].done == 1
-    played = {progress.key.stem for progress in seen[1:]}
-    assert played == {"mmc--centre-out", "ik-dls--random", "ik-dls--centre-out"}
+    stems = {progress.key.stem for progress in seen[1:]}
+    assert stems == {"mmc--centre-out", "ik-dls--random", "ik-dls--centre-out"}
     play(["ik-dls", "mmc"], tmp_path / "fresh")
     assert_same_stores(tmp_path / "grown", tmp_path / "fresh")
 
 
-def test_a_damaged_cell_is_played_again(played, tmp_path):
-    store = shutil.copytree(played[0], tmp_path / "store")
+def test_a_damaged_cell_is_played_again(stored_benchmark, tmp_path):
+    store = shutil.copytree(stored_benchmark[0], tmp_path / "store")
     path = store / "episodes" / "mmc--random.parquet"
     path.write_bytes(path.read_bytes()[:-100])
     (store / "paths" / "mmc--centre-out.parquet").unlink()
     assert play(["mmc"], store).reused == 0
-    assert_same_stores(store, played[0])
+    assert_same_stores(store, stored_benchmark[0])
 
 
 @pytest.mark.parametrize(
@@ -157,15 +161,15 @@ def test_a_damaged_cell_is_played_again(played, tmp_path):
         ({"agents": ["mmc=ik-dls"]}, "agent mmc is 'mmc', asked for is 'ik-dls'"),
     ],
 )
-def test_other_settings_are_refused(arguments, message, played):
+def test_other_settings_are_refused(arguments, message, stored_benchmark):
     with pytest.raises(UserError, match=message):
-        play(**{"agents": ["mmc"], "out": played[0], **arguments})
+        play(**{"agents": ["mmc"], "out": stored_benchmark[0], **arguments})
 
 
-def test_another_scenario_of_the_same_name_is_refused(played, monkeypatch):
+def test_another_scenario_of_the_same_name_is_refused(stored_benchmark, monkeypatch):
     monkeypatch.setitem(TASKS, "random", replace(TASKS["random"], description="other"))
     with pytest.raises(UserError, match="environment random is"):
-        play(["mmc"], played[0], ["random"])
+        play(["mmc"], stored_benchmark[0], ["random"])
 
 
 def test_an_agent_that_cannot_act_is_skipped_and_one_that_raises_has_failed(tmp_path, outside):
@@ -176,13 +180,13 @@ def test_an_agent_that_cannot_act_is_skipped_and_one_that_raises_has_failed(tmp_
     ]
     agents = ["mmc", *(f"{name}={outside}:{name}" for name, *_ in expected)]
     manifest = play(agents, tmp_path, ["random"])
-    assert [(one.agent, one.status, one.reason) for one in manifest.not_played] == expected
+    assert [(cell.agent, cell.status, cell.reason) for cell in manifest.not_played] == expected
     change_module(tmp_path, 'raise ZeroDivisionError("oh")', "return Constant()")
     again = play([f"crashing={outside}:crashing"], tmp_path, ["random"])
-    assert {one.agent for one in again.not_played} == {"cannot", "raising"}
+    assert {cell.agent for cell in again.not_played} == {"cannot", "raising"}
     change_module(tmp_path, "def crashing(env): return Constant()", "def crashing(env): 1 / 0")
     broken = play([f"crashing={outside}:crashing"], tmp_path, ["random"])
-    reasons = {one.agent: one.reason for one in broken.not_played}
+    reasons = {cell.agent: cell.reason for cell in broken.not_played}
     assert reasons["crashing"] == "ZeroDivisionError: division by zero"
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}  # not what it did before
 
@@ -205,8 +209,8 @@ def test_of_cells_that_an_interrupted_run_has_not_reached_the_store_knows_what_i
 @pytest.mark.slow
 def test_a_cell_under_which_processes_die_has_failed_and_the_others_are_played(tmp_path, outside):
     agents = [f"dying={outside}:dying", "mmc", "ik-dls"]
-    (one,) = play(agents, tmp_path, ["random"], jobs=2).not_played
-    assert (one.agent, one.status) == ("dying", "failed") and "died" in one.reason
+    (cell,) = play(agents, tmp_path, ["random"], jobs=2).not_played
+    assert (cell.agent, cell.status) == ("dying", "failed") and "died" in cell.reason
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc", "ik-dls"}
 
 

@@ -105,9 +105,9 @@ def test_an_own_perturbation_is_drawn_timed_native_and_shown():
     def heavy_middle(arms, factor):
         arms.segment_masses[:, 1] *= factor
 
-    made = {"num_envs": 3, "perturbations": "heavy-middle-1..3", "observe_context": True}
-    sync = gym.make_vec("MMCReach-v0", vectorization_mode="sync", **made)
-    native = gym.make_vec("MMCReach-v0", **made)
+    arguments = {"num_envs": 3, "perturbations": "heavy-middle-1..3", "observe_context": True}
+    sync = gym.make_vec("MMCReach-v0", vectorization_mode="sync", **arguments)
+    native = gym.make_vec("MMCReach-v0", **arguments)
     for env in (sync, native):
         env.reset(seed=0)
     for action in np.random.default_rng(0).uniform(-1, 1, (20, 3, 3)).astype(np.float32):
@@ -161,11 +161,11 @@ def test_a_function_that_does_not_change_each_arm_is_refused_in_a_line(assignmen
 
 
 def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):
-    found = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
-    assert found.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]
-    assert (found.env, found.controls["mmc"]) == ("Flat", "joint_delta")
-    kept = compare(["mmc"], lambda: Flat(control="joint_velocity"), 1)  # it takes no control
-    assert kept.controls["mmc"] == "joint_velocity"
+    comparison = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
+    assert comparison.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]
+    assert (comparison.env, comparison.controls["mmc"]) == ("Flat", "joint_delta")
+    of_speeds = compare(["mmc"], lambda: Flat(control="joint_velocity"), 1)  # it takes no control
+    assert of_speeds.controls["mmc"] == "joint_velocity"
     benchmark(["mmc", "random"], tmp_path, {"flat": Flat}, 2, jobs=1)
     assert read_episodes(tmp_path)["episode_return"].eq(100).all()
     write_report(tmp_path, tmp_path / "report.html")
@@ -177,8 +177,8 @@ def test_arguments_of_the_environment_reach_it(tmp_path, monkeypatch):
     main(["compare", *arguments, "control=joint_velocity"])
     assert (tmp_path / "runs/compare/summary.json").read_text().count("joint_velocity") == 4
     main(["benchmark", *arguments, "--scenarios", "random", "--jobs", "1"])
-    (kept,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
-    assert kept["kwargs"] == {"gravity": [0, -9]}
+    (environment,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
+    assert environment["kwargs"] == {"gravity": [0, -9]}
     with pytest.raises(UserError, match="max_episode_steps must be a whole number of at least 1"):
         compare(["mmc"], episodes=1, env_kwargs={"max_episode_steps": 2.5})
 
@@ -199,8 +199,8 @@ class Plain:
 
 
 def test_predict_may_take_an_observation_alone():
-    found = compare({"plain": Plain(), "class": lambda env: Plain()}, episodes=1)
-    assert found.controls == {"plain": "joint_torque", "class": "joint_delta"}
+    comparison = compare({"plain": Plain(), "class": lambda env: Plain()}, episodes=1)
+    assert comparison.controls == {"plain": "joint_torque", "class": "joint_delta"}
 
 
 @pytest.mark.parametrize(

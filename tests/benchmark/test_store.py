@@ -57,9 +57,9 @@ def store(episodes, tmp_path):
 
 def test_episodes_are_read_back(store, episodes):
     frame = read_episodes(store)
-    who = {"agent": "ppo", "training_seed": 3, "environment": "random", "instance": [0, 1]}
+    identity = {"agent": "ppo", "training_seed": 3, "environment": "random", "instance": [0, 1]}
     where = {"start_x": 0.0, "start_y": 1.0, "target_x": 2.0, "target_y": [1.0, 2.0]}
-    expected = pd.DataFrame({**who, "seed": [7, 11], **where, "duration": 0.8})
+    expected = pd.DataFrame({**identity, "seed": [7, 11], **where, "duration": 0.8})
     assert list(frame.columns) == [*expected, *MEASURES]
     pd.testing.assert_frame_equal(frame[list(expected)], expected, check_dtype=False)
     for measure in MEASURES.values():
@@ -70,7 +70,7 @@ def test_episodes_are_read_back(store, episodes):
 def test_paths_of_hands_with_and_without_an_arm_and_of_cursors_are_read_back(
     store, episodes, make_episode
 ):
-    hands, one = np.linspace([0.0, 1.0], [2.0, 1.0], 5), episodes[0]
+    hands, episode = np.linspace([0.0, 1.0], [2.0, 1.0], 5), episodes[0]
     turned = make_episode(hands, [2, 2], cursors=hands + 1, joint_angles=np.zeros((5, 0)))
     write(store, KEY._replace(environment="rotation-30"), [turned], FACTS)
     frame = read_paths(store)
@@ -79,7 +79,7 @@ def test_paths_of_hands_with_and_without_an_arm_and_of_cursors_are_read_back(
     assert frame["hand_x"].dtype == np.float32
     columns = ["joint_angle_1", "joint_angle_2", "joint_angle_3", "hand_x", "hand_y"]
     columns += ["target_x", "target_y", "cursor_x", "cursor_y"]
-    known = np.hstack([one.joint_angles, one.hands, one.targets, one.hands])
+    known = np.hstack([episode.joint_angles, episode.hands, episode.targets, episode.hands])
     other = np.hstack([np.full((5, 3), np.nan), hands, turned.targets, hands + 1])
     np.testing.assert_array_equal(frame[columns], np.vstack([known, other]).astype(np.float32))
 
@@ -172,7 +172,7 @@ def test_a_damaged_manifest_is_refused(tmp_path, changes, message):
 
 def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch):
     with monkeypatch.context() as earlier:
-        others = {name: one for name, one in MEASURES.items() if name != "success"}
+        others = {name: measure for name, measure in MEASURES.items() if name != "success"}
         earlier.setattr("mmc_gym.benchmark.store.MEASURES", others)
         old = KEY._replace(agent="old")
         write(store, old, episodes, {})

@@ -9,7 +9,7 @@ from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.report import replay, tables, write_report
 from mmc_gym.report.results import read_results
-from tests.report.conftest import write_store
+from tests.report.conftest import AGENTS, write_store
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
