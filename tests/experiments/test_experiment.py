@@ -42,11 +42,11 @@ def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     assert find_experiment(file) == mine == Experiment(**mine.settings)
 
 
-@pytest.mark.parametrize("name", [*EXPERIMENTS, *(f"{one}--10" for one in EXPERIMENTS)])
+@pytest.mark.parametrize("name", [*EXPERIMENTS, *(f"{name}--10" for name in EXPERIMENTS)])
 def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     experiment = find_experiment(name)
     schedule = experiment.schedule
-    assert [one.trial for one in schedule] == list(range(len(schedule)))
+    assert [trial.trial for trial in schedule] == list(range(len(schedule)))
     assert schedule[0].strength == 0
     assert Experiment(**yaml.safe_load(str(experiment))) == experiment
     (axes,) = experiment.plot().axes
@@ -72,17 +72,17 @@ def test_the_strength_in_a_name_is_that_of_its_perturbations(name, changes) -> N
 
 def test_one_of_so_many_trials_is_a_probe_at_a_place_that_differs() -> None:
     block = Block("learning", 80, ("force-field-60",), probes=(Probe("catch", 8),))
-    probes = [one for one in Experiment("mine", (block,)).schedule if one.probe]
-    assert [one.trial // 8 for one in probes] == list(range(10))
-    assert len({one.trial % 8 for one in probes}) > 3
-    assert all((one.condition.perturbations, one.probe) == ((), "catch") for one in probes)
+    probes = [trial for trial in Experiment("mine", (block,)).schedule if trial.probe]
+    assert [trial.trial // 8 for trial in probes] == list(range(10))
+    assert len({trial.trial % 8 for trial in probes}) > 3
+    assert all((trial.condition.perturbations, trial.probe) == ((), "catch") for trial in probes)
 
 
 @pytest.mark.parametrize("strength", [-30.0, 0.01, 1e6])
 def test_perturbations_of_a_gradual_block_grow_exactly_to_their_strength(strength) -> None:
     change = parse_change("rotation").with_strength(strength)
     experiment = Experiment("grows", (Block("grows", 3, change, gradual=True),))
-    strengths = [one.strength for one in experiment.schedule]
+    strengths = [trial.strength for trial in experiment.schedule]
     assert strengths == [strength / 3, strength * 2 / 3, strength]
     assert experiment.schedule[2].condition.perturbations == (change,)
     assert Experiment(**experiment.settings) == experiment
@@ -114,9 +114,9 @@ def test_what_has_no_measure_of_learning_is_refused_but_in_all_trials(name) -> N
 
 def test_a_subject_meets_all_targets_before_one_comes_again() -> None:
     experiment = find_experiment("rotation-30")
-    one, other = experiment.targets_of(1), experiment.targets_of(2)
-    assert (np.sort(one[:56].reshape(-1, 8)) == np.arange(0, 360, 45)).all()
-    assert (one != other).any()
+    targets, other_targets = experiment.targets_of(1), experiment.targets_of(2)
+    assert (np.sort(targets[:56].reshape(-1, 8)) == np.arange(0, 360, 45)).all()
+    assert (targets != other_targets).any()
 
 
 def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None:
@@ -149,11 +149,11 @@ def test_what_is_no_experiment_is_refused(entries, message) -> None:
 
 @pytest.mark.parametrize("every", [(2, 3, 7), (7, 3, 2), (2, 4, 5), (3, 3, 4)])
 def test_probes_of_any_share_find_a_place_in_each_of_their_groups(every) -> None:
-    probes = tuple(Probe(str(one), one) for one in every)
+    probes = tuple(Probe(str(count), count) for count in every)
     block = Block("a", 84, ("rotation-30",), probes=probes)
     for seed in range(30):
-        found = block.probes_by_trial(seed)
+        trial_probes = block.probes_by_trial(seed)
         for probe in set(probes):
-            groups = range(0, 84 - probe.every + 1, probe.every)
-            counts = [found[one : one + probe.every].count(probe) for one in groups]
+            starts = range(0, 84 - probe.every + 1, probe.every)
+            counts = [trial_probes[start : start + probe.every].count(probe) for start in starts]
             assert counts == [probes.count(probe)] * len(counts)

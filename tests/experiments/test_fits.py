@@ -37,12 +37,12 @@ MOVED_BY_COUNTER = dict(zip(("perturbation", "clamp"), COUNTER))
 @pytest.mark.parametrize("learner", [LEARNER, TwoStates(0.9, 0.999, 0.05, 0.01)])
 def test_two_states_are_found_again(schedule, learner, driven_by):
     perturbation, clamp = SCHEDULES[schedule]
-    adaptation, errors = (one[0] for one in simulate_learners(learner, perturbation, clamp))
+    adaptation, errors = (arrays[0] for arrays in simulate_learners(learner, perturbation, clamp))
     error = errors if driven_by == "seen" else None
-    found = fit_curve(adaptation, perturbation=perturbation, clamp=clamp, error=error)
-    assert [*found.parameters.values()] == pytest.approx(list(learner), abs=2e-3)
-    assert found.r_squared == pytest.approx(1.0) and found.trials == len(adaptation)
-    assert found.predicted == pytest.approx(adaptation, abs=0.02)
+    result = fit_curve(adaptation, perturbation=perturbation, clamp=clamp, error=error)
+    assert [*result.parameters.values()] == pytest.approx(list(learner), abs=2e-3)
+    assert result.r_squared == pytest.approx(1.0) and result.trials == len(adaptation)
+    assert result.predicted == pytest.approx(adaptation, abs=0.02)
 
 
 def test_the_errors_that_were_seen_hold_the_noise_of_each_movement():
@@ -105,9 +105,9 @@ def test_a_table_has_a_fit_for_each_subject_and_model_or_of_the_mean():
         }
     )
     columns = {"y": "hand", "perturbation": "turn", "clamp": "clamp"}
-    found = fit(table, by="who", **columns)
-    assert [*found["who"]] == [*"aabbcc"] and [*found["model"]] == ["one-state", "two-state"] * 3
-    assert found.loc[found["best"], "model"].eq("two-state").all()
+    fits = fit(table, by="who", **columns)
+    assert [*fits["who"]] == [*"aabbcc"] and [*fits["model"]] == ["one-state", "two-state"] * 3
+    assert fits.loc[fits["best"], "model"].eq("two-state").all()
     (of_mean,) = fit(table, "two-state", **columns).to_dict("records")
     expected = fit_curve(y.mean(axis=0), **MOVED_BY_COUNTER).parameters["B_f"]
     assert of_mean["B_f"] == pytest.approx(expected, abs=1e-6)
@@ -135,11 +135,11 @@ def table():
 @pytest.mark.parametrize("by", ["subject", None])
 def test_the_order_of_rows_changes_no_fit(table, by):
     shuffled = table.sample(frac=1, random_state=0)
-    found, expected = (fit(one, "one-state", by=by) for one in (shuffled, table))
-    assert found["r_squared"].min() > 0.999
+    fits, expected = (fit(rows, "one-state", by=by) for rows in (shuffled, table))
+    assert fits["r_squared"].min() > 0.999
     if by:
-        found = found.sort_values("subject", ignore_index=True)
-    pd.testing.assert_frame_equal(found, expected)
+        fits = fits.sort_values("subject", ignore_index=True)
+    pd.testing.assert_frame_equal(fits, expected)
 
 
 def test_probes_of_one_direction_may_stand_more_than_once_in_a_gaussian():
@@ -212,10 +212,10 @@ def test_an_exponential_is_found_again_and_noise_has_none():
     rates = np.array([0.01, 0.1, 0.7])
     curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
     curves[:, 7] = np.nan
-    asymptotes, found, starts = fit_exponential(curves).T
+    asymptotes, fitted_rates, starts = fit_exponential(curves).T
     assert asymptotes == pytest.approx([20.0] * 3, rel=1e-4)
     assert starts == pytest.approx([5.0] * 3, rel=1e-4)
-    assert found == pytest.approx(rates, rel=1e-4)
+    assert fitted_rates == pytest.approx(rates, rel=1e-4)
     assert fit_curve(curves[1], "exponential").mean_square == pytest.approx(0.0, abs=1e-6)
     later = pd.DataFrame({"trial": np.arange(60, 160), "adaptation": curves[1]})
     assert fit(later, "exponential")["r_squared"].item() == pytest.approx(1.0)
@@ -233,9 +233,9 @@ def test_the_width_of_a_gaussian(width):
     unseen = np.where(offsets == 45, np.nan, adaptation)
     assert generalization_width(unseen, offsets) == pytest.approx(width, rel=1e-3)
     assert generalization_width(np.full(len(offsets), 20.0), offsets) == pytest.approx(180)
-    found = fit_curve(adaptation + 4, "gaussian", x=offsets).parameters
+    parameters = fit_curve(adaptation + 4, "gaussian", x=offsets).parameters
     expected = {"offset": 4.0, "height": 20.0, "centre": 5.0, "width": width}
-    assert found == pytest.approx(expected, rel=1e-2)
+    assert parameters == pytest.approx(expected, rel=1e-2)
 
 
 @pytest.mark.parametrize(

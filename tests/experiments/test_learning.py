@@ -58,17 +58,17 @@ def test_a_movement_that_is_known_is_described(go_step):
     hands = along * [0.0, 1.0] + bulge
     targets = np.tile([0.0, 0.6], (len(along), 1))
     settings = {"go_steps": go_step, "control_step": STEP, "early": 0.1, "tolerance": 0.05}
-    found = describe_movements(hands, along * turned, targets, **settings)
-    assert found["hand_angle"] == pytest.approx(np.degrees(np.arctan2(0.05, 0.3)), abs=0.5)
-    assert found["cursor_error"] == pytest.approx(10.0)
-    assert found["largest_deviation"] == pytest.approx(0.05, rel=1e-2)
-    assert found["reaction_time"] == pytest.approx(4 * STEP, abs=3.1 * STEP)
-    assert found["movement_time"] == pytest.approx(51 * STEP, rel=0.15)
-    assert found["peak_speed"] == pytest.approx(0.6 * 1.875 / (51 * STEP), rel=0.05)
-    assert found["end_error"] == pytest.approx(2 * 0.6 * np.sin(np.radians(5)))
-    assert not found["success"]
+    movement = describe_movements(hands, along * turned, targets, **settings)
+    assert movement["hand_angle"] == pytest.approx(np.degrees(np.arctan2(0.05, 0.3)), abs=0.5)
+    assert movement["cursor_error"] == pytest.approx(10.0)
+    assert movement["largest_deviation"] == pytest.approx(0.05, rel=1e-2)
+    assert movement["reaction_time"] == pytest.approx(4 * STEP, abs=3.1 * STEP)
+    assert movement["movement_time"] == pytest.approx(51 * STEP, rel=0.15)
+    assert movement["peak_speed"] == pytest.approx(0.6 * 1.875 / (51 * STEP), rel=0.05)
+    assert movement["end_error"] == pytest.approx(2 * 0.6 * np.sin(np.radians(5)))
+    assert not movement["success"]
     still = describe_movements(0 * hands, 0 * hands, targets, **settings)
-    assert np.isnan([still[name] for name in [*found][:7]]).all() and still["end_error"] == 0.6
+    assert np.isnan([still[name] for name in [*movement][:7]]).all() and still["end_error"] == 0.6
 
 
 @pytest.mark.parametrize("late", [3, 6, 12])
@@ -143,22 +143,22 @@ def measures_of(learning):
 def test_measures_of_an_experiment():
     schedule = np.r_[NONE, TURN, NONE, TURN, NONE]
     learning = learning_in((schedule, np.nan), LEARNER, rest=180)
-    found = measures_of(learning)
+    measures = measures_of(learning)
     curve = learning.adaptation[0]
-    assert [len(one) for one in learning.exposures] == [120, 120]
-    assert found["final_adaptation"] == pytest.approx(curve[170:180].mean())
-    assert found["after_effect"] == pytest.approx(curve[180:184].mean())
-    assert found["retention"] == pytest.approx(curve[180:184].mean() / curve[170:180].mean())
-    assert found["savings"] > 1.0  # the slow state is still there
-    assert [found[name] for name in TWO_STATES] == pytest.approx(list(LEARNER), abs=2e-3)
-    assert np.isnan([found[name] for name in ("width", "clamp_asymptote", "A", "B")]).all()
+    assert [len(exposure) for exposure in learning.exposures] == [120, 120]
+    assert measures["final_adaptation"] == pytest.approx(curve[170:180].mean())
+    assert measures["after_effect"] == pytest.approx(curve[180:184].mean())
+    assert measures["retention"] == pytest.approx(curve[180:184].mean() / curve[170:180].mean())
+    assert measures["savings"] > 1.0  # the slow state is still there
+    assert [measures[name] for name in TWO_STATES] == pytest.approx(list(LEARNER), abs=2e-3)
+    assert np.isnan([measures[name] for name in ("width", "clamp_asymptote", "A", "B")]).all()
 
 
 def test_a_learner_of_one_state_has_parameters_of_one_state():
     one_state = TwoStates(A_f=0.0, A_s=0.97, B_f=0.0, B_s=0.1)
-    found = measure_learning(learning_in((np.r_[NONE, TURN, NONE], np.nan), one_state))
-    assert [found["A"], found["B"]] == pytest.approx([0.97, 0.1], abs=1e-4)
-    assert np.isnan([found[name] for name in TWO_STATES]).all()
+    measures = measure_learning(learning_in((np.r_[NONE, TURN, NONE], np.nan), one_state))
+    assert [measures["A"], measures["B"]] == pytest.approx([0.97, 0.1], abs=1e-4)
+    assert np.isnan([measures[name] for name in TWO_STATES]).all()
 
 
 @pytest.mark.parametrize("after", [1, 3])
@@ -170,7 +170,7 @@ def test_what_is_retained_after_a_rest_is_of_its_block_however_short(after):
     assert measure_learning(learning)["retention"] == pytest.approx(expected)
     # Who turns with the perturbation has no rate of learning.
     wrong = replace(learning, adaptation=-learning.adaptation)
-    rate, of_wrong = (measure_learning(one)["rate"] for one in (learning, wrong))
+    rate, of_wrong = (measure_learning(curves)["rate"] for curves in (learning, wrong))
     assert np.isfinite(rate) and np.isnan(of_wrong)
 
 
@@ -178,22 +178,22 @@ def test_measures_of_a_clamp():
     schedule = np.zeros(180), np.r_[NONE * np.nan, np.full(120, 15.0)]
     kinds = np.where(np.arange(180) < 60, "plain", "clamp")
     learning = learning_in(schedule, LEARNER, kinds)
-    found = measures_of(learning)
-    assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
-    assert found["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
-    assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
+    measures = measures_of(learning)
+    assert measures["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
+    assert measures["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
+    assert np.isnan([measures["rate"], measures["savings"], measures["after_effect"]]).all()
 
 
 def test_figures_of_people_have_a_source_and_belong_to_a_measure():
-    known = {*MEASURES, *LAWS, *(one.name for one in QUANTITIES)}
+    known = {*MEASURES, *LAWS, *(quantity.name for quantity in QUANTITIES)}
     for family in ("", "cursor-jump", "generalisation", "savings", "clamp"):
         assert people(family)
-        for name, one in people(family).items():
-            assert name in known and one.source and one.task and one.differs
-            assert not np.isnan([one.low, one.high]).all()
+        for name, figures in people(family).items():
+            assert name in known and figures.source and figures.task and figures.differs
+            assert not np.isnan([figures.low, figures.high]).all()
 
 
-def played(turn, subjects=6, family="rotation", known_as=""):
+def simulated_result(turn, subjects=6, family="rotation", known_as=""):
     """Return a result of straight movements of `LEARNER`s, with a cursor turned by `turn`."""
     name = (f"{family}-{turn:g}",)
     blocks = (
@@ -204,7 +204,7 @@ def played(turn, subjects=6, family="rotation", known_as=""):
     )
     experiment = Experiment("own", blocks, family=known_as)
     schedule = experiment.schedule
-    strengths = np.array([one.strength for one in schedule])
+    strengths = np.array([trial.strength for trial in schedule])
     compensated, _ = simulate_learners(LEARNER, strengths, subjects=subjects, noise=1.0)
     angles = np.stack([experiment.targets_of(seed) for seed in range(subjects)])
 
@@ -236,7 +236,7 @@ def played(turn, subjects=6, family="rotation", known_as=""):
 
 @pytest.mark.parametrize("turn", [30.0, -30.0])
 def test_learners_are_found_again_in_their_paths(turn):
-    result = played(turn)
+    result = simulated_result(turn)
     learning = learning_of(result.movements_of("known"))
     visible = learning.perturbations - learning.adaptation
     assert learning.errors == pytest.approx(visible, abs=1e-3)
@@ -252,7 +252,7 @@ def test_learners_are_found_again_in_their_paths(turn):
 
 def test_the_table_is_printed_and_the_figure_has_the_timeline_and_a_curve_per_agent():
     console = Console(record=True, width=120)
-    result = played(30.0)
+    result = simulated_result(30.0)
     print_learning(learning_table(result, 20), console)
     text = console.export_text()
     assert "after-effect" in text and "known" in text
@@ -264,8 +264,8 @@ def test_the_table_is_printed_and_the_figure_has_the_timeline_and_a_curve_per_ag
 
 
 def test_people_are_shown_in_an_experiment_that_they_did_and_a_single_subject_has_no_interval():
-    known, alone, own = (
-        played(15.0, subjects, family="clamp", known_as=name)
+    known, alone, unpublished = (
+        simulated_result(15.0, subjects, family="clamp", known_as=name)
         for subjects, name in ((6, "clamp"), (1, "clamp"), (1, ""))
     )
     table, of_alone = learning_table(known, 20), learning_table(alone, 20)
@@ -273,13 +273,13 @@ def test_people_are_shown_in_an_experiment_that_they_did_and_a_single_subject_ha
     assert (row["low"], row["high"], row["source"]) == (18.0, 18.0, "Tsay et al. 2020")
     figure = learning_figure(known, table, resamples=20)
     assert figure.axes[2].get_xlabel() == "people: 18\nTsay et al. 2020"
-    assert PEOPLE not in set(learning_table(own, 20)["agent"])
+    assert PEOPLE not in set(learning_table(unpublished, 20)["agent"])
     assert of_alone.loc[of_alone["agent"] != PEOPLE, ["low", "high"]].isna().all(axis=None)
     assert not learning_figure(alone, of_alone, resamples=20).axes[1].collections  # no band
 
 
 def test_your_own_data_of_people_are_drawn_with_agents_if_they_fit():
-    result = played(30.0)
+    result = simulated_result(30.0)
     trials = np.arange(len(result.experiment.schedule))
     table = pd.DataFrame({"trial": np.tile(trials, 2), "adaptation": np.r_[trials, trials + 2.0]})
     checked = check_people(table, result.experiment)

@@ -54,10 +54,10 @@ class Differs(Known):
         return random.normal(0.0, 20.0)
 
 
-def are_equal(one: ExperimentResult, other: ExperimentResult) -> bool:
+def are_equal(result: ExperimentResult, other: ExperimentResult) -> bool:
     paths = ("hands", "cursors", "targets")
-    same = [np.array_equal(getattr(one, name), getattr(other, name)) for name in paths]
-    return all(same) and one.trials.equals(other.trials)
+    same = [np.array_equal(getattr(result, name), getattr(other, name)) for name in paths]
+    return all(same) and result.trials.equals(other.trials)
 
 
 def printed(result: ExperimentResult) -> str:
@@ -90,10 +90,10 @@ def test_subjects_are_the_same_however_many_there_are() -> None:
     agents |= {"differ": "mmc-body", "noisy": "mmc-body", "own": Differs}
     differing = {"rate_spread": 0.3, "retention_spread": 0.01}
     learners = {"differ": differing, "noisy": {"planning_noise": 4.0, "noise_spread": 0.3}}
-    few, many = (run_experiment(SHORT, agents, one, learners=learners, jobs=1) for one in (2, 3))
-    chosen = (many.trials["subject"] < 2).to_numpy()
-    assert np.array_equal(few.hands, many.hands[chosen])
-    pd.testing.assert_frame_equal(few.trials, many.trials[chosen].reset_index(drop=True))
+    few, many = (run_experiment(SHORT, agents, n, learners=learners, jobs=1) for n in (2, 3))
+    is_in_both = (many.trials["subject"] < 2).to_numpy()
+    assert np.array_equal(few.hands, many.hands[is_in_both])
+    pd.testing.assert_frame_equal(few.trials, many.trials[is_in_both].reset_index(drop=True))
     for name in agents:
         hands = many.hands[(many.trials["agent"] == name).to_numpy()]
         assert not np.array_equal(hands[6:12], hands[12:18])
@@ -103,8 +103,8 @@ def test_subjects_are_the_same_however_many_there_are() -> None:
 def test_any_object_plays_subject_by_subject_and_says_what_it_keeps_between_trials(is_whole):
     rests, action = [], np.zeros(3, np.float32)
     predict = (lambda *_, **__: (action, 7)) if is_whole else lambda observation: (action, 7)
-    own = SimpleNamespace(predict=predict, between_trials=lambda *given: rests.append(given))
-    run_experiment(SHORT, {"own": lambda env: own}, subjects=2, jobs=1)
+    agent = SimpleNamespace(predict=predict, between_trials=lambda *call: rests.append(call))
+    run_experiment(SHORT, {"own": lambda env: agent}, subjects=2, jobs=1)
     assert rests == [(7, 0.0), (7, 5.0), (7, 0.0), (7, 0.0), (7, 0.0)] * 2
 
 
@@ -124,15 +124,15 @@ def test_a_memory_can_be_kept_whole() -> None:
 def test_a_run_resumes_and_a_damaged_cell_is_played_again(tmp_path: Path, monkeypatch) -> None:
     whole = run_experiment(SHORT, ["mmc", "ik-dls"], subjects=2, jobs=1)
     run_experiment(SHORT, ["mmc"], subjects=2, out=tmp_path, jobs=1)
-    played = []
+    run_cells = []
     run_cell = trials.run_cell
-    monkeypatch.setattr(trials, "run_cell", lambda cell: played.append(cell) or run_cell(cell))
+    monkeypatch.setattr(trials, "run_cell", lambda cell: run_cells.append(cell) or run_cell(cell))
     resumed = run_experiment(SHORT, ["mmc", "ik-dls"], subjects=2, out=tmp_path, jobs=1)
-    assert [cell.agent.label for cell in played] == ["ik-dls"]
+    assert [cell.agent.label for cell in run_cells] == ["ik-dls"]
     assert are_equal(whole, resumed)
     next(tmp_path.glob("trials/mmc*.parquet")).write_bytes(b"PAR1")
     run_experiment(SHORT, ["mmc"], subjects=2, out=tmp_path, jobs=1)
-    assert [cell.agent.label for cell in played] == ["ik-dls", "mmc"]
+    assert [cell.agent.label for cell in run_cells] == ["ik-dls", "mmc"]
     (stored,) = read_experiments(tmp_path)
     assert stored.experiment == SHORT
     assert set(stored.trials["agent"]) == {"mmc", "ik-dls"}
@@ -162,20 +162,20 @@ def test_runs_of_other_settings_overwrite_nothing_and_are_not_mixed(tmp_path, mo
     with pytest.raises(UserError, match=r"mmc-body in short .*got rate \[0\.\d+\] and \[") as error:
         read_experiments(tmp_path)
     stems = re.findall(r"(mmc-body--short\.[0-9a-f]{8})\.\*", str(error.value))
-    of_fast = [one for one in stems if len(list(tmp_path.glob(f"trials/{one}.*.parquet"))) == 2]
+    of_fast = [stem for stem in stems if len(list(tmp_path.glob(f"trials/{stem}.*.parquet"))) == 2]
     for path in list(tmp_path.glob(f"trials/{of_fast[0]}.*")):
         path.unlink()
     (stored,) = read_experiments(tmp_path)
     rates = {name: set(of["rate"]) for name, of in stored.trials.groupby("agent")}
     assert rates == {"mmc-body": {"0.05"}, "ik-dls": {""}}
     assert set(fast.trials["rate"]) == {"0.9", ""}
-    is_body = [(one.trials["agent"] == "mmc-body").to_numpy() for one in (stored, slow)]
+    is_body = [(result.trials["agent"] == "mmc-body").to_numpy() for result in (stored, slow)]
     assert np.array_equal(stored.hands[is_body[0]], slow.hands[is_body[1]])
 
 
 def test_tables_of_other_settings_are_written_next_to_each_other(tmp_path: Path) -> None:
     fast, slow = (run_experiment(SHORT, ["mmc-body"], 1, rate=rate, jobs=1) for rate in (0.9, 0.1))
-    names = [one.write(tmp_path)[0].name for one in (fast, slow, fast, slow)]
+    names = [result.write(tmp_path)[0].name for result in (fast, slow, fast, slow)]
     assert names == ["short.trials.csv", "short.2.trials.csv"] * 2
 
 
@@ -239,8 +239,8 @@ def test_a_file_that_was_removed_is_named(tmp_path: Path) -> None:
 def test_whole_numbers_and_numbers_of_arrays_are_the_same_settings(tmp_path: Path) -> None:
     kinds = [(0.5, 0.0, 1, 2), (np.float32(0.5), 0, np.int64(1), np.int64(2)), ([0.5], [0], 1, 2)]
     for rate, retention, subjects, seed in kinds:
-        given = {"rate": rate, "retention": retention, "out": tmp_path}
-        run_experiment(SHORT, ["mmc-body"], subjects, seed, jobs=1, **given)
+        settings = {"rate": rate, "retention": retention, "out": tmp_path}
+        run_experiment(SHORT, ["mmc-body"], subjects, seed, jobs=1, **settings)
     assert len(list(tmp_path.glob("trials/*.parquet"))) == 1
 
 
@@ -359,11 +359,11 @@ def test_your_own_learner_moves_as_it_learns(tmp_path: Path) -> None:
     experiment, agents = Experiment("own", blocks), {"known": Known, "noisy": Noisy}
     result = run_experiment(experiment, agents, 2, out=tmp_path, jobs=1)
     expected, state = [], 0.0
-    for one in result.experiment.schedule:
-        state = 0.5 * state if one.rest else state
+    for trial in result.experiment.schedule:
+        state = 0.5 * state if trial.rest else state
         expected.append(state)
-        clamped = one.phase == "clamp"
-        state = 0.9 * state + 0.3 * (0.0 if clamped else one.strength - state)
+        clamped = trial.phase == "clamp"
+        state = 0.9 * state + 0.3 * (0.0 if clamped else trial.strength - state)
     of_known = result.trials["agent"] == "known"
     way = result.hands[of_known, -1] - result.hands[of_known, 0]
     turned = np.degrees(np.arctan2(way[:, 1], way[:, 0])) - result.trials["target_angle"][of_known]
