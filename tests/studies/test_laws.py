@@ -49,8 +49,8 @@ def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(
     here, there = [1.0, 0.0], [0.0, 2.0]
     met = [ending(0.0, here), ending(math.pi / 2, here), *[ending(1.0, there)] * 2]
     missed, alone = ending(3.0, there, hand=[0.0, 1.0]), ending(3.0, [5.0, 5.0])
-    found = laws.posture_variability([*met, missed, alone])
-    assert found == pytest.approx(math.sqrt(2 * (1 - math.sqrt(0.5))) / 2)
+    variability = laws.posture_variability([*met, missed, alone])
+    assert variability == pytest.approx(math.sqrt(2 * (1 - math.sqrt(0.5))) / 2)
     assert math.isnan(laws.posture_variability([alone]))
 
 

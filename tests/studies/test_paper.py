@@ -27,8 +27,8 @@ SHIPPED = (LearnedNormalizer.shipped("paper"), ACCURATE)
 def stand_in(settings, architectures=((16,), (16, 16))):
     """Instead of training: the two shipped 2-16-16-2 networks for every architecture."""
     none = np.zeros((2, 0))
-    found = networks.TrainedArchitecture(SHIPPED, none, none, np.zeros(2), np.zeros(2))
-    return {architecture_name(units): found for units in architectures}
+    architecture = networks.TrainedArchitecture(SHIPPED, none, none, np.zeros(2), np.zeros(2))
+    return {architecture_name(units): architecture for units in architectures}
 
 
 class Results(dict):
@@ -76,14 +76,14 @@ def test_an_experiment_has_rows_captioned_figures_and_data(name, results):
 def test_the_examples_in_docstrings_hold():
     modules = (experiment, protocol, bettered, forward_and_mixed, movements, normalization)
     flags = doctest.NORMALIZE_WHITESPACE
-    tried = [doctest.testmod(one, optionflags=flags) for one in (*modules, hidden_units)]
-    assert sum(one.attempted for one in tried) > 10
-    assert not any(one.failed for one in tried)
+    tried = [doctest.testmod(module, optionflags=flags) for module in (*modules, hidden_units)]
+    assert sum(result.attempted for result in tried) > 10
+    assert not any(result.failed for result in tried)
 
 
 def numbers(value):
     """Return the numbers in a value of the table."""
-    return [float(one) for one in re.findall(r"\d+(?:\.\d+)?", str(value))]
+    return [float(text) for text in re.findall(r"\d+(?:\.\d+)?", str(value))]
 
 
 @pytest.mark.parametrize(
@@ -91,17 +91,17 @@ def numbers(value):
 )
 def test_rows_without_learned_weights_agree_with_the_data(start, number, digits, results):
     rows = [row for name in ("kinematic", "dynamic") for row in results[name].rows]
-    rows = [one for one in rows if one.quantity.startswith(start) and one.data is not None]
-    for found in rows:
-        assert numbers(found.ours) == pytest.approx(numbers(found.data), abs=digits)
+    rows = [row for row in rows if row.quantity.startswith(start) and row.data is not None]
+    for row in rows:
+        assert numbers(row.ours) == pytest.approx(numbers(row.data), abs=digits)
     assert len(rows) >= number
     ours = {row.quantity: row.ours for row in results["example"].rows}
-    assert next(ours[one] for one in ours if one.startswith("kinematic (Euclid")) == "0.00977"
+    assert next(ours[name] for name in ours if name.startswith("kinematic (Euclid")) == "0.00977"
 
 
 def test_the_points_on_movements_are_all_measured(results):
-    found = [results[name].points for name in ("kinematic", "dynamic", "example")]
-    assert {number for points in found for number in points} == {1, 2, 3, 4, 5, 6}
+    points_of_experiments = [results[name].points for name in ("kinematic", "dynamic", "example")]
+    assert {number for points in points_of_experiments for number in points} == {1, 2, 3, 4, 5, 6}
     points = results["dynamic"].points
     assert "not within 40 iterations" in points[1]
     assert points[2].endswith("26 with Euclidean normalization")
@@ -117,8 +117,8 @@ def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias)
     preferred = np.radians([10.0, 75.5, 300.0])
     weights = strength * np.stack([np.cos(preferred), np.sin(preferred)], axis=1)
     network = LearnedNormalizer([weights, np.ones((2, 3))], [[bias] * 3, [0, 0]])
-    (found,) = layer_tunings(network)
-    np.testing.assert_allclose(np.exp(1j * found.preferred), np.exp(1j * preferred), atol=1e-9)
+    (tuning,) = layer_tunings(network)
+    np.testing.assert_allclose(np.exp(1j * tuning.preferred), np.exp(1j * preferred), atol=1e-9)
     half = (np.tanh(bias + strength) + np.tanh(bias - strength)) / 2
     width = 2 * np.degrees(np.arccos((np.arctanh(half) - bias) / strength))
-    np.testing.assert_allclose(found.width, width, atol=1.0)
+    np.testing.assert_allclose(tuning.width, width, atol=1.0)

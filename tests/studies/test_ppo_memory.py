@@ -22,8 +22,8 @@ def shown(choice, ahead=0, env_id="MMCReach-v0"):
     """What the teacher is shown of arms that have drawn this option, under equal actions."""
     weights = [1.0 * (choice == number) for number in range(4)]
     perturbations = [{"one_of": NAMES, "weights": weights}]
-    made = gym.make_vec(env_id, ARMS, perturbations=perturbations, observe_context=True)
-    env = made.unwrapped
+    envs = gym.make_vec(env_id, ARMS, perturbations=perturbations, observe_context=True)
+    env = envs.unwrapped
     env.reset = partial(env.reset, seed=0)  # whatever noise was drawn before
     history = History(ReachInterface.of(env).layout, (1, 2, 3))
     seen, true = study.episodes_of(env, history, lambda seen: np.full((ARMS, 3), 0.3, np.float32))

@@ -24,8 +24,8 @@ def complete(folder):
     storage = optuna.storages.JournalStorage(journal)
     name = json.dumps({"steps": STEPS, "in use": IN_USE})
     study = optuna.load_study(study_name=name, storage=storage)
-    found = study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
-    return [(trial.params, trial.value) for trial in found]
+    complete_trials = study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
+    return [(trial.params, trial.value) for trial in complete_trials]
 
 
 @pytest.mark.slow
@@ -53,7 +53,7 @@ def test_tuning_in_parts_and_interrupted_gives_the_same_as_at_once(tmp_path, mon
     trials = complete(whole)
     assert complete(parts) == trials
     parameters = [parameters for parameters, _ in trials]
-    assert not any(one == other for one, other in itertools.combinations(parameters, 2))
+    assert not any(first == second for first, second in itertools.combinations(parameters, 2))
 
 
 def test_the_first_trial_has_the_constants_in_use_which_are_those_of_the_agent(tmp_path):
