@@ -41,10 +41,10 @@ def test_a_loss_is_named_and_a_peer_s_or_a_ratio_to_another_peer_is_none():
 
 
 def test_runs_are_read_as_they_were_written(tmp_path):
-    made = runs(4.0, 3.0)
-    for run in reversed(made):
+    written_runs = runs(4.0, 3.0)
+    for run in reversed(written_runs):
         write_run(run, tmp_path)
-    assert read_runs(tmp_path) == made
+    assert read_runs(tmp_path) == written_runs
 
 
 @pytest.mark.slow
@@ -56,11 +56,11 @@ def test_the_network_reaches_what_the_arm_can_reach_as_given_and_changed(tmp_pat
     run_python(script, *options, folder=tmp_path)
     rows = {name: json.loads((tmp_path / f"{name}-iiwa-1.json").read_text()) for name in tables}
     for table in ("reach", "locked", "longer", "elbow"):
-        own = [row for row in rows[table] if row["solver"] == "mmc-gym"]
-        assert own
-        assert all(row["late"] == 100 for row in own), table
+        our_rows = [row for row in rows[table] if row["solver"] == "mmc-gym"]
+        assert our_rows
+        assert all(row["late"] == 100 for row in our_rows), table
 
-    own = next(row for row in rows["outside"] if row["solver"] == "mmc-gym")
-    assert own["none"] == 0 and 0 <= own["mm"] < 50  # it stays near a target out of reach
+    our_row = next(row for row in rows["outside"] if row["solver"] == "mmc-gym")
+    assert our_row["none"] == 0 and 0 <= our_row["mm"] < 50  # it stays near a target out of reach
     solving = {row["solver"] for row in rows["reach"] if row["late"] > 0}
     assert solving == {row["solver"] for row in rows["reach"]} > {"damped least squares"}

@@ -118,8 +118,8 @@ def test_a_script_that_imports_the_package_has_its_own_interruptions():
     ],
 )
 def test_mistakes_end_with_one_line_that_says_what_was_meant(arguments, message, capsys):
-    given = arguments.split() if isinstance(arguments, str) else arguments
-    (line,) = stop(given, 2, capsys)
+    words = arguments.split() if isinstance(arguments, str) else arguments
+    (line,) = stop(words, 2, capsys)
     assert message in line
 
 

@@ -63,8 +63,8 @@ def nothing_is_left(forget_what_is_registered):
 
 def has_labels(axes):
     """Return whether both axes have a label: their own, of a shared panel, or of the figure."""
-    x = [one.get_xlabel() for one in axes.get_shared_x_axes().get_siblings(axes)]
-    y = [one.get_ylabel() for one in axes.get_shared_y_axes().get_siblings(axes)]
+    x = [panel.get_xlabel() for panel in axes.get_shared_x_axes().get_siblings(axes)]
+    y = [panel.get_ylabel() for panel in axes.get_shared_y_axes().get_siblings(axes)]
     figure = axes.figure
     is_bar = axes.get_label() == "<colorbar>"
     return any((*x, figure.get_supxlabel(), is_bar)) and any((*y, figure.get_supylabel()))
@@ -101,7 +101,7 @@ NOTEBOOK_SHOWS = {
 def outputs_of(path):
     """Return what the cells of a notebook have printed and drawn."""
     cells = json.loads(path.read_text())["cells"]
-    return [one for cell in cells for one in cell.get("outputs", ())]
+    return [output for cell in cells for output in cell.get("outputs", ())]
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_a_notebook_runs_and_shows_figures(name, tmp_path):
     # A notebook draws into itself unless another backend is asked for.
     run_python("-m", "pytest", *options, name, folder=tmp_path, without={"MPLBACKEND"})
     outputs = outputs_of(tmp_path / name)
-    assert any("image/png" in one.get("data", ()) for one in outputs)
-    streams = [one for one in outputs if one["output_type"] == "stream"]
-    assert NOTEBOOK_SHOWS[name] in "".join("".join(one["text"]) for one in streams)
-    assert {one["name"] for one in streams} == {"stdout"}
+    assert any("image/png" in output.get("data", ()) for output in outputs)
+    streams = [output for output in outputs if output["output_type"] == "stream"]
+    assert NOTEBOOK_SHOWS[name] in "".join("".join(stream["text"]) for stream in streams)
+    assert {stream["name"] for stream in streams} == {"stdout"}

@@ -76,7 +76,7 @@ def refuse_three(number):
 
 def raise_unpicklable(number):
     class Unpicklable(Exception):
-        def __init__(self, one, two):
+        def __init__(self, first, second):
             super().__init__("lost a half")
 
     raise Unpicklable(1, 2)
@@ -111,7 +111,7 @@ IN_BOTH = pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.
 @IN_BOTH
 def test_results_come_in_the_order_of_the_cells(jobs):
     seen = []
-    results = run_grid(square, range(6), jobs=jobs, on_result=lambda *one: seen.append(one))
+    results = run_grid(square, range(6), jobs=jobs, on_result=lambda *result: seen.append(result))
     assert results == [0, 1, 4, 9, 16, 25]
     assert sorted(seen) == list(enumerate(results))
 
@@ -158,9 +158,10 @@ def test_workers_end_when_their_parent_is_killed():
         "    time.sleep(60)\n"
         "run_grid(work, range(2), jobs=2)"
     )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as one:
-        workers = [int(one.stdout.readline()) for _ in range(2)]
-        one.kill()
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        workers = [int(parent.stdout.readline()) for _ in range(2)]
+        parent.kill()
     for worker in workers:
         wait_for(lambda process=worker: not is_running(process))
 
@@ -230,8 +231,8 @@ def cluster(ray):
 def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "local")
     cells = [Draw(seed) for seed in range(4)]
-    found = run_grid(draw, cells, jobs=2, cluster="ray")
-    np.testing.assert_array_equal(found, run_grid(draw, cells, jobs=1))
+    draws = run_grid(draw, cells, jobs=2, cluster="ray")
+    np.testing.assert_array_equal(draws, run_grid(draw, cells, jobs=1))
     assert not ray.is_initialized()  # what was begun is ended
 
     ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=OBJECT_STORE)

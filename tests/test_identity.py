@@ -78,20 +78,20 @@ def folder(tmp_path, monkeypatch):
 
 def things():
     """Return a function that returns the identity of each kind of your own things, by name."""
-    own = importlib.import_module("own_things")
-    room = own.own_room
+    module = importlib.import_module("own_things")
+    room = module.own_room
     return {
-        "a function": lambda: resolve(own.act).fingerprint,
-        "a class": lambda: resolve(own.Still).fingerprint,
-        "an object": lambda: resolve(own.Still()).fingerprint,
-        "a lambda that calls one": lambda: resolve(lambda seen: own.act(seen)).fingerprint,
+        "a function": lambda: resolve(module.act).fingerprint,
+        "a class": lambda: resolve(module.Still).fingerprint,
+        "an object": lambda: resolve(module.Still()).fingerprint,
+        "a lambda that calls one": lambda: resolve(lambda seen: module.act(seen)).fingerprint,
         "a lambda that calls a module": lambda: resolve(lambda _: room.helper.SPEED).fingerprint,
-        "a method": lambda: resolve(own.STILL.predict).fingerprint,
-        "a factory": lambda: resolve(partial(own.Still, gain=2)).fingerprint,
+        "a method": lambda: resolve(module.STILL.predict).fingerprint,
+        "a factory": lambda: resolve(partial(module.Still, gain=2)).fingerprint,
         "module:name": lambda: resolve("own_things:act").fingerprint,
-        "an environment's function": lambda: settings_of(own.world),
+        "an environment's function": lambda: settings_of(module.world),
         "an environment's name": lambda: settings_of("own_things:world"),
-        "a lambda of an environment": lambda: settings_of(lambda **more: own.world(**more)),
+        "a lambda of an environment": lambda: settings_of(lambda **more: module.world(**more)),
     }
 
 
@@ -118,17 +118,17 @@ def test_a_change_of_any_module_that_is_imported_is_another_identity(name, folde
 
 
 def test_arguments_and_captured_values_are_part_of_an_identity(folder):
-    own = importlib.import_module("own_things")
+    module = importlib.import_module("own_things")
 
     def make(gain):
-        return lambda **arguments: gym.Wrapper(own.world(**arguments)) if gain else None
+        return lambda **arguments: gym.Wrapper(module.world(**arguments)) if gain else None
 
-    for one, other in (
-        (partial(own.Still, gain=2), partial(own.Still, gain=3)),
-        (own.Still(gain=2), own.Still(gain=3)),
+    for value, other_value in (
+        (partial(module.Still, gain=2), partial(module.Still, gain=3)),
+        (module.Still(gain=2), module.Still(gain=3)),
         (make(2), make(3)),
     ):
-        assert identity(one) == identity(one) != identity(other)
+        assert identity(value) == identity(value) != identity(other_value)
     assert settings_of(make(2)) != settings_of(make(3))
     assert as_json({"f": partial(np.add, 1)}) != as_json({"f": partial(np.add, 2)})
 
@@ -202,13 +202,13 @@ def test_a_script_counts_by_the_code_that_is_used_wherever_it_stands(folder):
 
     before = identities()
     assert identities(above="\n\n# plot\n", below="print(3)")[:5] == before
-    changed = [one != other for one, other in zip(identities(gain=2), before)]
+    changed = [now != then for now, then in zip(identities(gain=2), before)]
     assert changed == [False, False, True, False, False]
     change(folder / "own_far.py")
-    assert [one != other for one, other in zip(identities(), before)] == [True] * 3 + [False] * 2
+    assert [now != then for now, then in zip(identities(), before)] == [True] * 3 + [False] * 2
     before = identities()
     change(folder / "own_later.py")  # imported by what `make` imports when it is called
-    assert [one != other for one, other in zip(identities(), before)][2]
+    assert [now != then for now, then in zip(identities(), before)][2]
 
 
 def test_what_is_not_seen_is_said_where_results_are_used_again(folder):

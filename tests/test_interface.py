@@ -48,10 +48,10 @@ def test_one_arm_is_encoded_as_many_are_and_the_world_recovered(
         assert (many.shape, many.dtype) == ((5, layout.size), np.float32)
         assert (np.abs(many) <= layout.limits).all() or not is_clipped
     for index, (angle, speed) in enumerate(zip(angles.tolist(), speeds.tolist())):
-        one = layout.encode(angle, speed, hand=tuple(hands[index]), target=tuple(targets[index]))
-        for name in one if has_goals else [...]:
-            np.testing.assert_allclose(one[name], many[name][index], atol=1e-7)
-            assert one[name].dtype == many[name].dtype
+        single = layout.encode(angle, speed, hand=tuple(hands[index]), target=tuple(targets[index]))
+        for name in single if has_goals else [...]:
+            np.testing.assert_allclose(single[name], many[name][index], atol=1e-7)
+            assert single[name].dtype == many[name].dtype
     if not layout.is_clipped:
         interface = replace(INTERFACE, segment_lengths=(1.0,) * joints)
         sensed = interface.sense(many)
@@ -71,7 +71,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(module, ar
     large = offsets / (OFFSET_SCALE + np.linalg.norm(offsets, axis=-1, keepdims=True))
     from_first = np.exp(-1j * angles[:, :1])  # vectors are seen from the first segment
     seen = ((vectors @ [[1], [1j]]) * from_first for vectors in (targets, offsets, large))
-    seen = (np.hstack([one.real, one.imag]) for one in seen)
+    seen = (np.hstack([vectors.real, vectors.imag]) for vectors in seen)
     expected = (np.cos(angles), np.sin(angles), speeds, *seen)
     for observation in (longer, goals):
         parts = (*LAYOUT.split(observation, module), LAYOUT.flatten(observation, module)[:, 13:15])
@@ -120,9 +120,9 @@ def test_an_action_means_to_the_servo_what_the_agent_meant(control):
     body = ArmParameters()
     meaning = action_meaning(control, body)
     interface = ReachInterface((1.0,) * 3, control, body.speed_limit, body.servo_gain, 0.02)
-    now, wanted = np.array([0.1, -0.5, 3.0]), np.array([0.3, -0.6, 3.1])
-    command = meaning.scale * interface.act(wanted, Sensed(now, np.zeros(2)))
-    np.testing.assert_allclose(command + meaning.is_relative * now, wanted, atol=1e-6)
+    now, goal = np.array([0.1, -0.5, 3.0]), np.array([0.3, -0.6, 3.1])
+    command = meaning.scale * interface.act(goal, Sensed(now, np.zeros(2)))
+    np.testing.assert_allclose(command + meaning.is_relative * now, goal, atol=1e-6)
     assert meaning.servo == "position"
 
 

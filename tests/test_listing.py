@@ -39,9 +39,9 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
     assert heading.split()[0] == what[:-1]
     assert max(map(len, lines)) <= 80
     assert [line.split()[0] for line in lines if not line.startswith(" ")] == list(NAMES[what])
-    found = getattr(mmc_gym, f"list_{what}")()
-    assert found == list(NAMES[what])
-    assert found._repr_html_().count("<td>") == 2 * len(found)
+    listing = getattr(mmc_gym, f"list_{what}")()
+    assert listing == list(NAMES[what])
+    assert listing._repr_html_().count("<td>") == 2 * len(listing)
 
 
 def test_too_few_columns_for_a_table_are_none_at_all(capsys, monkeypatch):
@@ -61,10 +61,10 @@ def test_what_it_says_makes_a_scenario_does_make_it(name):
     ways = re.findall(r"\w*gym\.make\(.*\)", dict(describe(name))["make it"])
     assert len(ways) == 2
     for way in ways:
-        made = eval(way, {"gym": gym, "mmc_gym": mmc_gym}).unwrapped.setup
-        assert (made.first.body, made.given_body) == (expected.first.body, expected.given_body)
-        assert made.task == expected.task
-        assert made.episodes.changes == expected.episodes.changes
+        setup = eval(way, {"gym": gym, "mmc_gym": mmc_gym}).unwrapped.setup
+        assert (setup.first.body, setup.given_body) == (expected.first.body, expected.given_body)
+        assert setup.task == expected.task
+        assert setup.episodes.changes == expected.episodes.changes
 
 
 def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):

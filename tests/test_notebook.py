@@ -39,9 +39,9 @@ def draw(names):
     times = 0.02 * np.arange(101)
     speeds = [factor * np.sin(np.linspace(0, np.pi, 100)) for factor in (1, 2, 3)]
     hands = [np.stack([times * number, 0 * times], axis=-1) for number in (1, 2, 3)]
-    movements = [PlottedMovement(*one) for one in zip(hands, np.ones((3, 2)), speeds, strict=True)]
-    given = {name: movements for name in names}
-    return movements, paths_and_profiles(given, reach=3.0, tolerance=0.05, control_step=0.02)
+    movements = [*map(PlottedMovement, hands, np.ones((3, 2)), speeds)]
+    agents = dict.fromkeys(names, movements)
+    return movements, paths_and_profiles(agents, reach=3.0, tolerance=0.05, control_step=0.02)
 
 
 def test_paths_differ_without_colour_and_the_profile_is_their_median_speed():

@@ -69,9 +69,9 @@ def changed(seen=lambda seen: seen, action=lambda action: action, **fields):
 
     class Changed(DrawerInterface):
         def see(self, observation):
-            found = super().see(observation)
-            values = {name: change(found) for name, change in fields.items()}
-            return seen(replace(found, **values))
+            view = super().see(observation)
+            values = {name: change(view) for name, change in fields.items()}
+            return seen(replace(view, **values))
 
         def act(self, joint_targets, sensed):
             return action(super().act(joint_targets, sensed))
@@ -106,14 +106,14 @@ def test_agents_reach_in_an_environment_that_an_interface_describes(name):
     assert all(last_info(agent, env, seed)["is_success"] for seed in range(5))
     seen = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
     together, _ = agent.predict(seen)
-    np.testing.assert_allclose(together, [agent.predict(one)[0] for one in seen])
+    np.testing.assert_allclose(together, [agent.predict(observation)[0] for observation in seen])
     single = make_agent(name, env, interface=changed(strided, np.float32))
     assert last_info(single, env, 3)["is_success"]
 
 
-@pytest.mark.parametrize("given", [INTERFACE, lambda env: INTERFACE, f"{__name__}:INTERFACE"])
-def test_an_interface_is_given_as_an_object_by_a_function_or_by_name(given):
-    assert ReachInterface.of(InterfacedEnv(make_drawer(), given)) == INTERFACE
+@pytest.mark.parametrize("interface", [INTERFACE, lambda env: INTERFACE, f"{__name__}:INTERFACE"])
+def test_an_interface_is_given_as_an_object_by_a_function_or_by_name(interface):
+    assert ReachInterface.of(InterfacedEnv(make_drawer(), interface)) == INTERFACE
 
 
 def test_random_actions_are_drawn_from_the_action_space():
@@ -149,30 +149,30 @@ def test_an_interface_of_another_kind_and_what_is_none_are_refused(name, interfa
 
 def test_agents_are_compared_and_what_the_environment_does_not_say_is_left_out(tmp_path):
     agents = {"mine": lambda env: make_agent("ik-dls", env), "mmc-body": "mmc-body"}
-    found = compare(agents, make_drawer, 3, interface=INTERFACE, out=tmp_path)
-    assert found.headline.startswith("success at the end: mine 100.0 %, mmc-body 100.0 %")
-    assert "joint work" not in str(found)  # the torques are unknown
-    assert "within 0.1" in found.explanation
-    returns = found.episodes.loc[found.episodes["agent"] == "mine", "episode_return"]
+    comparison = compare(agents, make_drawer, 3, interface=INTERFACE, out=tmp_path)
+    assert comparison.headline.startswith("success at the end: mine 100.0 %, mmc-body 100.0 %")
+    assert "joint work" not in str(comparison)  # the torques are unknown
+    assert "within 0.1" in comparison.explanation
+    returns = comparison.episodes.loc[comparison.episodes["agent"] == "mine", "episode_return"]
     assert list(returns) == [-80.0] * 3
-    assert found.episodes["maximal_deviation"].notna().any()
+    assert comparison.episodes["maximal_deviation"].notna().any()
     assert (tmp_path / "paths_and_profiles.png").stat().st_size > 1_000
 
 
 def test_without_a_success_distance_the_environment_says_what_succeeds():
-    found = compare("mmc-body", make_drawer, 3, interface=STATES_NO_DISTANCE)
-    assert list(found.episodes["success"]) == [1.0] * 3
-    assert found.settings["tolerance"] is None
-    assert "time to target" not in str(found)
-    assert "as the environment says" in found.explanation
+    comparison = compare("mmc-body", make_drawer, 3, interface=STATES_NO_DISTANCE)
+    assert list(comparison.episodes["success"]) == [1.0] * 3
+    assert comparison.settings["tolerance"] is None
+    assert "time to target" not in str(comparison)
+    assert "as the environment says" in comparison.explanation
 
 
 def test_episodes_of_other_environments_are_kept_resumed_and_reported(tmp_path):
     play_in = partial(benchmark, ["mmc-body", "ik-dls"], tmp_path, episodes=2, jobs=2)
     unknown = partial(InterfacedEnv, make_drawer(), STATES_NO_DISTANCE)
     for reused in (0, 2):
-        found = play_in({"drawer": make_drawer}, interface=LIMITED)
-        assert found.reused == reused
+        manifest = play_in({"drawer": make_drawer}, interface=LIMITED)
+        assert manifest.reused == reused
         assert len(read_episodes(tmp_path)) == 4
     play_in({"unknown": unknown})
     assert "as it says" in write_report(tmp_path, tmp_path / "report.html").read_text()
@@ -188,26 +188,26 @@ def test_the_command_line_takes_an_interface_and_without_one_the_environment_is_
         compare("mmc", make_drawer, 2)
 
 
-def played(name, body, folder):
+def success_and_return(name, body, folder):
     """Success, and mean return, of an agent in the same episodes."""
     envs = [BODIES[body].make(folder) for _ in range(12)]
-    found = play(make_agent(name, envs[0], interface=reacher.INTERFACE), envs, list(range(12)))
-    starts, targets = found.to_numpy()[:, 2:4], found.to_numpy()[:, 4:]
-    missed = found["distance"] - BODIES[body].nearest(starts, targets)
-    return (missed < 0.01).mean(), found["return"].mean()
+    episodes = play(make_agent(name, envs[0], interface=reacher.INTERFACE), envs, list(range(12)))
+    starts, targets = episodes.to_numpy()[:, 2:4], episodes.to_numpy()[:, 4:]
+    missed = episodes["distance"] - BODIES[body].nearest(starts, targets)
+    return (missed < 0.01).mean(), episodes["return"].mean()
 
 
 def test_mmc_body_earns_what_the_environment_asks_for_without_training(tmp_path):
-    success, mean_return = played("mmc-body", "as given", tmp_path)
+    success, mean_return = success_and_return("mmc-body", "as given", tmp_path)
     assert success == 1.0
     assert mean_return > gym.spec("Reacher-v5").reward_threshold
 
 
 @pytest.mark.parametrize("body", ["second link 20 % longer", "first joint held"])
 def test_a_changed_body_is_identified(body, tmp_path):
-    success, mean_return = played("mmc-body", body, tmp_path)
+    success, mean_return = success_and_return("mmc-body", body, tmp_path)
     assert success > 0.9
-    assert mean_return > played("ik-dls", body, tmp_path)[1] + 0.3
+    assert mean_return > success_and_return("ik-dls", body, tmp_path)[1] + 0.3
 
 
 def test_the_servo_is_the_solution_of_the_riccati_equation():
@@ -216,10 +216,10 @@ def test_the_servo_is_the_solution_of_the_riccati_equation():
     base, elbow = np.cumsum(segments_from_joint_angles(goal, lengths)[::-1], axis=0)[::-1]
     jacobian = reacher.METRES * np.array([[-base[1], -elbow[1]], [base[0], elbow[0]]])
     weight = jacobian.T @ jacobian / np.linalg.norm(jacobian @ left)
-    still, one = np.zeros((2, 2)), np.eye(2)
-    system = np.block([[still, one], [still, -one]]), np.vstack([still, reacher.GEAR * one])
-    cost = np.block([[weight, still], [still, still]])
-    gains = system[1].T @ solve_continuous_are(*system, cost, one)
+    zero, eye = np.zeros((2, 2)), np.eye(2)
+    system = np.block([[zero, eye], [zero, -eye]]), np.vstack([zero, reacher.GEAR * eye])
+    cost = np.block([[weight, zero], [zero, zero]])
+    gains = system[1].T @ solve_continuous_are(*system, cost, eye)
     seen = Seen(goal - left, np.zeros(2), joint_speeds=speeds, hand=np.zeros(2))
     expected = -gains @ np.concatenate([-left, speeds])
     np.testing.assert_allclose(reacher.INTERFACE.act(goal, seen), expected, atol=1e-5)
@@ -240,21 +240,21 @@ class Late(gym.ObservationWrapper):
 
 def test_late_angles_and_speeds_are_bridged_where_act_is_your_own(tmp_path):
     envs = [Late(BODIES["as given"].make(tmp_path)) for _ in range(8)]
-    found = play(make_agent("mmc-body", envs[0], interface=reacher.INTERFACE), envs, [*range(8)])
-    assert (found["distance"] < 0.01).all()
+    episodes = play(make_agent("mmc-body", envs[0], interface=reacher.INTERFACE), envs, [*range(8)])
+    assert (episodes["distance"] < 0.01).all()
 
 
 @pytest.mark.parametrize(
     ("wrong", "line"),
     [
         ({}, None),
-        ({"hand": lambda one: 0.1 * one.hand}, "hand of see is 0.1 times"),
-        ({"hand": lambda one: one.hand + 1}, r"\[1.0, 1.0\] .* the base"),
-        ({"hand": lambda one: 0 * one.hand}, "hand of see"),
-        ({"joint_angles": lambda one: np.degrees(one.joint_angles)}, "in degrees"),
-        ({"joint_angles": lambda one: np.cumsum(one.joint_angles, -1)}, "absolute"),
-        ({"joint_speeds": lambda one: 9 * one.joint_speeds}, "joint_speeds of see are .* times"),
-        ({"joint_speeds": lambda one: one.hand[:1]}, "joint_speeds of see must"),
+        ({"hand": lambda seen: 0.1 * seen.hand}, "hand of see is 0.1 times"),
+        ({"hand": lambda seen: seen.hand + 1}, r"\[1.0, 1.0\] .* the base"),
+        ({"hand": lambda seen: 0 * seen.hand}, "hand of see"),
+        ({"joint_angles": lambda seen: np.degrees(seen.joint_angles)}, "in degrees"),
+        ({"joint_angles": lambda seen: np.cumsum(seen.joint_angles, -1)}, "absolute"),
+        ({"joint_speeds": lambda seen: 9 * seen.joint_speeds}, "joint_speeds of see are .* times"),
+        ({"joint_speeds": lambda seen: seen.hand[:1]}, "joint_speeds of see must"),
         ({"action": lambda action: -action}, "act turns joint 0 away from"),
         ({"action": lambda action: action * [1, 0]}, "act turns joint 1 hardly toward"),
         ({"action": lambda action: action if action.ndim == 1 else action[0]}, "a batch"),
@@ -262,8 +262,8 @@ def test_late_angles_and_speeds_are_bridged_where_act_is_your_own(tmp_path):
 )
 def test_a_check_says_in_one_line_what_is_wrong_with_an_interface(wrong, line):
     lines = check_interface(make_drawer(), changed(**wrong))
-    assert (lines == []) if line is None else any(re.search(line, one) for one in lines)
-    assert not any("\n" in one for one in lines)
+    assert (lines == []) if line is None else any(re.search(line, text) for text in lines)
+    assert not any("\n" in text for text in lines)
 
 
 def test_a_joint_without_a_limit_turns_the_short_way_and_one_with_an_end_stops_there():

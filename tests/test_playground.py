@@ -144,7 +144,7 @@ def test_the_page_computes_what_the_package_computes(page):
     assert max(apart["network"], apart["straight"]) < 1e-12
     assert max(apart["observation"], apart["policy"]) < 1e-6
     assert apart["body"] < 0.01  # radians; a sketch of pymunk's arm, and much nearer than this
-    assert {len(one["lengths"]) for one in golden["network"]} == set(range(2, 9))
+    assert {len(network["lengths"]) for network in golden["network"]} == set(range(2, 9))
 
 
 @marked
@@ -218,7 +218,8 @@ def test_arms_of_two_to_eight_segments_reach(browser, count, key, width):
     assert ask(browser, "scene.count") == count
     handles = browser.find_elements(By.CSS_SELECTOR, ".handle")
     assert len(handles) == count + 2  # joints, the hand and the target
-    assert all(one.get_attribute("aria-label") and one.get_attribute("role") for one in handles)
+    for name in ("aria-label", "role"):
+        assert all(handle.get_attribute(name) for handle in handles)
     assert browser.find_element(By.ID, "ppo-says").text == "cannot act"
     settle(browser)
 
@@ -236,8 +237,8 @@ def test_what_the_triangles_say_comes_to_agree_in_the_network_that_is_chosen(pag
     for dynamics, normalizer in (("kinematic", "accurate"), ("dynamic", "exact")):
         Select(page.find_element(By.ID, "dynamics")).select_by_value(dynamics)
         Select(page.find_element(By.ID, "normalizer")).select_by_value(normalizer)
-        wanted = [dynamics == "dynamic", normalizer]
-        assert ask(page, "[scene.settings.dynamic, scene.settings.normalizer]") == wanted
+        settings = [dynamics == "dynamic", normalizer]
+        assert ask(page, "[scene.settings.dynamic, scene.settings.normalizer]") == settings
         settle(page)
     assert ask(page, "scene.disagreement") < 1e-3
 

@@ -62,7 +62,7 @@ def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
     frames = ffmpeg.read_frames(str(path))
     facts = next(frames)
     assert (facts["fps"], facts["size"], facts["codec"]) == (50, (640, 640), "h264")
-    film = [np.frombuffer(one, np.uint8).reshape(640, 640, 3) for one in frames]
+    film = [np.frombuffer(frame, np.uint8).reshape(640, 640, 3) for frame in frames]
     assert len(film) == 21 + 50
     for number in (0, 12):
         assert np.abs(film[number].astype(int) - pictures[number]).mean() < 4.0
@@ -73,7 +73,7 @@ def test_several_agents_are_side_by_side_under_their_names(tmp_path, pictures):
     path = record(tmp_path / "film.gif", agents, seed=3, env_kwargs=STEPS, every=4)
     with Image.open(path) as film:
         assert film.size == (640, 352) and film.info["duration"] == 80  # ms
-        frames = [np.asarray(one.convert("RGB"), int) for one in ImageSequence.Iterator(film)]
+        frames = [np.asarray(frame.convert("RGB"), int) for frame in ImageSequence.Iterator(film)]
     left, right = np.split(frames[-1], 2, axis=1)
     alone = np.asarray(Image.fromarray(pictures[20]).reduce(2), int)[12:]  # without its caption
     for half in (left, right):
@@ -87,7 +87,7 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path):
     path.write_bytes(b"the old one")
     with pytest.raises(RuntimeError, match="lost"):
         record(path, fails)
-    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"the old one"]
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"the old one"]
 
 
 def test_the_command_names_the_file_and_a_missing_extra(tmp_path, monkeypatch, capsys):
@@ -188,9 +188,10 @@ def test_a_window_that_its_user_closes_is_closed(agent, env_id):
 
 def test_without_a_display_it_says_so_at_once_and_offers_a_film():
     names = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
-    given = {name: value for name, value in os.environ.items() if name not in names}
+    environment = {name: value for name, value in os.environ.items() if name not in names}
     code = "import sys; sys.modules['mmc_gym.record'] = None\n"  # nothing slow is loaded
     code += "from mmc_gym.cli import main; main(['play'])"
-    done = subprocess.run([sys.executable, "-c", code], env=given, capture_output=True, text=True)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode != 0
     assert re.search("needs a display, .*no screen.*`mmc-gym record", done.stderr)

@@ -72,9 +72,9 @@ def anchors(path):
 def pages(site):
     """Return the pages that Sphinx writes; playground and report are tested elsewhere."""
     others = ("_static", "playground", "report")
-    found = [path for path in site.rglob("*.html") if path.parent.name not in others]
-    assert len(found) > 100
-    return found
+    paths = [path for path in site.rglob("*.html") if path.parent.name not in others]
+    assert len(paths) > 100
+    return paths
 
 
 @pytest.mark.slow

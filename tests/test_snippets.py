@@ -49,7 +49,8 @@ def blocks(text, language):
 def commands(text):
     """Return the commands of mmc-gym on a page, without their comments."""
     lines = "\n".join(blocks(text, "sh")).replace("\\\n", "").splitlines()
-    return [shlex.join(shlex.split(one, comments=True)) for one in lines if one[:8] == "mmc-gym "]
+    lines = [line for line in lines if line.startswith("mmc-gym ")]
+    return [shlex.join(shlex.split(line, comments=True)) for line in lines]
 
 
 def run(folder, *command):
@@ -61,7 +62,7 @@ def run(folder, *command):
 def code_of(page, text):
     """Return the code of a how-to page that has this text."""
     page = (DOCS / "how-to" / page).read_text()
-    return next(one for one in blocks(page, "python") if text in one)
+    return next(code for code in blocks(page, "python") if text in code)
 
 
 MODEL = """
@@ -110,9 +111,9 @@ def here(once, tmp_path):
 
 def small(command):
     """Return the arguments of a command, with options for less work."""
-    _, name, *given = shlex.split(command)
-    more = {key: value for key, value in SMALL.get(name, {}).items() if key not in given}
-    return [name, *given, *(part for option in more.items() for part in option)]
+    _, name, *options = shlex.split(command)
+    more = {key: value for key, value in SMALL.get(name, {}).items() if key not in options}
+    return [name, *options, *(part for option in more.items() for part in option)]
 
 
 PYTHON = [
@@ -121,6 +122,7 @@ PYTHON = [
     for number, code in enumerate(blocks(page.read_text(), "python"), start=1)
 ]
 COMMANDS = sorted({command for page in PAGES for command in commands(page.read_text())})
+LONG_COMMANDS = [command.split() for command in COMMANDS if {*command.split()} & {*TOO_MUCH}]
 
 
 @pytest.mark.parametrize("code", PYTHON)
@@ -136,22 +138,23 @@ def test_the_code_of_a_page_runs(code, here):
     run(here, *(() if others else ("-W", "error")), "-c", code)
 
 
-@pytest.mark.parametrize("command", [one for one in COMMANDS if not {*one.split()} & {*TOO_MUCH}])
+@pytest.mark.parametrize(
+    "command", [text for text in COMMANDS if text.split() not in LONG_COMMANDS]
+)
 def test_the_command_of_a_page_runs(command, here):
     assert run(here, "-m", "mmc_gym.cli", *small(command))
 
 
 def test_options_of_commands_that_take_too_much_exist(tmp_path):
-    chosen = [one.split() for one in COMMANDS if {*one.split()} & {*TOO_MUCH}]
-    assert chosen
-    for _, name, *given in chosen:
+    assert LONG_COMMANDS
+    for _, name, *arguments in LONG_COMMANDS:
         options = run(tmp_path, "-m", "mmc_gym.cli", name, "--help")
-        assert all(re.search(rf"{one}\b", options) for one in given if one[:2] == "--")
+        assert all(re.search(rf"{flag}\b", options) for flag in arguments if flag[:2] == "--")
 
 
 def test_the_code_of_the_pages_of_scenarios_runs(tmp_path):
     generate = runpy.run_path(str(DOCS / "generate.py"))
     scenarios = generate["all_scenarios"]()
     assert {*SCENARIOS} <= {*scenarios}
-    pages = [generate["scenario_page"](one, "", None) for one in scenarios.values()]
+    pages = [generate["scenario_page"](scenario, "", None) for scenario in scenarios.values()]
     run(tmp_path, "-c", "\n".join(code for page in pages for code in blocks(page, "python")))
