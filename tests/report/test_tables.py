@@ -109,7 +109,7 @@ def test_one_episode_has_no_interval_and_makes_nothing_clearly_better(tmp_path):
 
 
 def test_regret_in_a_single_episode_has_no_interval(tmp_path):
-    agents = {"mmc": MOVERS["mmc"], "ppo-drawn": MOVERS["ppo"]}
+    agents = {"mmc": AGENTS["mmc"], "ppo-drawn": AGENTS["ppo"]}
     write_store(tmp_path, agents, ("random", "rotation-60"), instances=1)
     table = tables.generalisation_table(read_results(tmp_path, 50, yardstick="ppo-drawn"))
     regrets = [cell.notes for row in table.rows if row.name == "mmc" for cell in row.cells]
