@@ -18,6 +18,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
+import gymnasium as gym
 import numpy as np
 import safetensors.numpy
 from annotated_types import Ge, Gt, Lt
@@ -30,11 +31,26 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import digest_of, write_atomically
-from mmc_gym.agents.base import Agent, Layouts, Started, check_no_state, resumed
+from mmc_gym.agents.base import (
+    Agent,
+    Layouts,
+    Started,
+    check_no_state,
+    require_plain,
+    resumed,
+    warn_of_another_arm,
+)
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, History, PolicyNetwork
 from mmc_gym.body import ArmParameters
-from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
+from mmc_gym.interface import (
+    CannotActError,
+    Control,
+    ControlError,
+    Observation,
+    ReachInterface,
+    read_attribute,
+)
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on the card
@@ -189,10 +205,7 @@ class PolicyAgent(Agent[Any]):
             accepted = f"{card.segment_count} segments for this policy"
             raise CannotActError(f"env must have {accepted}, got {count}")
         if card.context and not layout.context_size:
-            raise CannotActError(
-                f"env must show the context as in the training of {card.file_stem}: make it with "
-                f"observe_context={card.context}"
-            )
+            raise _needs_context(card)
         self._gives_positions = (card.control, interface.control) == POSITIONS_FROM_DELTAS
         if card.control != interface.control and not self._gives_positions:
             raise ControlError(
@@ -267,6 +280,28 @@ class PolicyAgent(Agent[Any]):
         now = sensed.joint_angles
         ahead = now + self._interface.max_joint_delta * action
         return self._interface.act(self._interface.within_limits_from(now, ahead), sensed)
+
+
+def make_policy(path: Path, env: gym.Env[Any, Any]) -> PolicyAgent:
+    """Make the agent of a policy's file for an environment; warn of another arm than in training.
+
+    Raises:
+        CannotActError: as `PolicyAgent`, and if a wrapper changes observations or actions.
+    """
+    require_plain(env)
+    network, card = load_policy(path)
+    if card.context and read_attribute(env, "context_scale") != card.context:
+        raise _needs_context(card)
+    agent = PolicyAgent(network, card, ReachInterface.of(env))
+    warn_of_another_arm(card.file_stem, card.body, env)
+    return agent
+
+
+def _needs_context(card: PolicyCard) -> CannotActError:
+    return CannotActError(
+        f"env must show the context as in the training of {card.file_stem}: make it with "
+        f"observe_context={card.context}"
+    )
 
 
 def shipped_agent(interface: ReachInterface, name: str) -> PolicyAgent:

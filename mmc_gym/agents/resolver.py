@@ -21,7 +21,7 @@ from dataclasses import replace
 from glob import glob
 from os.path import exists
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 from zipfile import is_zipfile
 
 import gymnasium as gym
@@ -30,9 +30,21 @@ from gymnasium.vector import VectorEnv
 from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import AGENTS, REFERENCE
-from mmc_gym.agents.resolved import Factory, ResolvedAgent
+from mmc_gym.agents.resolved import (
+    Factory,
+    ResolvedAgent,
+    ideal_hand,
+    import_wrapper,
+    model_agent,
+    policy_agent,
+    untrained_agent,
+    user_agent,
+)
 from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in, read_statistics
 from mmc_gym.interface import InterfacedEnv
+
+if TYPE_CHECKING:
+    from mmc_gym.agents.policy import PolicyCard
 
 AgentLike: TypeAlias = "str | Path | Predictor | Factory | Callable[[Any], Any]"
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
@@ -100,31 +112,44 @@ def resolve_all(
         labelled: list[Any] = list(agents.items())
     else:
         labelled = [("", agent) for agent in ([agents] if isinstance(agents, str) else agents)]
-    found = []
-    for label, given in labelled:
+    resolved: list[ResolvedAgent] = []
+    for label, trainings in labelled:
         _check_label(label)
-        sources = given if isinstance(given, (list, tuple)) else [given]
-        found += _trainings(sources, label, allow_pickle, every_training)
-    if not found:
+        sources = trainings if isinstance(trainings, (list, tuple)) else [trainings]
+        resolved += _trainings(sources, label, allow_pickle, every_training)
+    if not resolved:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
-    wrappers = _by_agent("wrapper", wrapper, found)
-    normalizers = _by_agent("statistics", statistics, found)
-    for index, (agent, wrap, source) in enumerate(zip(found, wrappers, normalizers)):
-        found[index] = replace(agent, wrapper=wrap or agent.wrapper)
-        if source is not None:
-            accepted = "for a model of stable-baselines3"
-            require(agent.model is not None, f"statistics of {agent.label}", source, accepted)
-            model: Any = agent.model
-            loaded = model.load(read_statistics(source, allow_pickle))
-            found[index] = replace(found[index], model=loaded)
-        found[index].check()
-    counts = Counter((one.label, one.training_seed) for one in found)
+    wrappers = _by_agent("wrapper", wrapper, resolved)
+    normalizers = _by_agent("statistics", statistics, resolved)
+    resolved = [
+        _as_trained(agent, wrap, normalizer, allow_pickle)
+        for agent, wrap, normalizer in zip(resolved, wrappers, normalizers, strict=True)
+    ]
+    counts = Counter((agent.label, agent.training_seed) for agent in resolved)
     (label, _), count = counts.most_common(1)[0]
     if count > 1:
         raise UserError(
             f"agents must have different names, got {label} repeatedly; LABEL=... gives another"
         )
-    return found
+    return resolved
+
+
+def _as_trained(
+    agent: ResolvedAgent, wrapper: Any, statistics: Any, allow_pickle: bool
+) -> ResolvedAgent:
+    """Return the agent with a wrapper and statistics, if any; check those that it has."""
+    model, seed = agent.model, agent.training_seed
+    if statistics is not None:
+        accepted = "for a model of stable-baselines3"
+        require(model is not None, f"statistics of {agent.label}", statistics, accepted)
+    if model is not None:
+        normalizer = None if statistics is None else read_statistics(statistics, allow_pickle)
+        loaded = model.load(normalizer)
+        if normalizer is not None:
+            agent = replace(model_agent(loaded, agent.label, agent.source), training_seed=seed)
+    agent = replace(agent, wrapper=wrapper or agent.wrapper)
+    import_wrapper(agent.wrapper)
+    return agent
 
 
 def _by_agent(name: str, value: Any, agents: Sequence[ResolvedAgent]) -> list[Any]:
@@ -150,20 +175,20 @@ def _trainings(
     """Return the trainings of one agent, counted unless their own seeds all differ."""
     if not sources:
         raise UserError(f"agents must be given with at least one training, got none of {label!r}")
-    found = []
+    unlabelled: list[Any] = []
     for source in sources:
         if isinstance(source, (str, Path)):
-            own_label, name = _labelled(str(source))
+            source_label, name = _labelled(str(source))
             common_label, names = _expanded(name, every_training)
-            label = label or own_label or common_label
-            found += [_resolve_name(one, allow_pickle) for one in names]
+            label = label or source_label or common_label
+            unlabelled += names
         else:
-            found.append(_resolve_object(source))
-    if len(found) > 1:
-        seeds = [one.training_seed for one in found]
-        if None in seeds or len(set(seeds)) < len(seeds):
-            found = [replace(one, number=number) for number, one in enumerate(found)]
-    return [replace(one, label=label) for one in found] if label else found
+            unlabelled.append(source)
+    agents = [_resolve(source, label, allow_pickle) for source in unlabelled]
+    seeds = {agent.training_seed for agent in agents}
+    if len(agents) > 1 and (None in seeds or len(seeds) < len(agents)):
+        return [replace(agent, training_seed=seed) for seed, agent in enumerate(agents)]
+    return agents
 
 
 def _labelled(text: str) -> tuple[str, str]:
@@ -217,37 +242,56 @@ def _without_suffix(name: str) -> str:
     return re.sub(r"\.(zip|json|safetensors)$", "", name)
 
 
-def _resolve_object(agent: Any) -> ResolvedAgent:
-    agent = as_agent(agent)
-    if isinstance(agent, ModelAgent):
-        return ResolvedAgent(agent.label, "", model=agent, wrapper=agent.trained_in.wrap)
-    if hasattr(agent, "predict") or callable(agent):
-        label = getattr(agent, "__name__", type(agent).__name__)
-        return ResolvedAgent(label, "", given=agent)
-    raise _unknown(agent)
+def _resolve(source: Any, label: str, allow_pickle: bool) -> ResolvedAgent:
+    """Return the agent of a name or an object, under a label or else its own name."""
+    if not isinstance(source, str):
+        thing = as_agent(source)
+        if isinstance(thing, ModelAgent):
+            return model_agent(thing, label or thing.label)
+        if hasattr(thing, "predict") or callable(thing):
+            return user_agent(thing, label or getattr(thing, "__name__", type(thing).__name__))
+        raise _unknown(source)
+    if source == REFERENCE:
+        return ideal_hand(label or source)
+    if source in AGENTS and not AGENTS[source].training_seeds:
+        return untrained_agent(source, label or source)
+    from mmc_gym.agents.policy import SUFFIXES
+
+    path, path_label, kind = _file_of(source)
+    label = label or path_label
+    if path.suffix in SUFFIXES:
+        return policy_agent(path, label, path.stem if kind else source, kind)
+    if not path.exists() and Path(f"{source}{SUFFIX}").is_file():  # as stable-baselines3 names it
+        path = Path(f"{source}{SUFFIX}")
+    if path.suffix == SUFFIX or (path.is_file() and is_zipfile(path)):
+        return model_agent(SavedModel(path, allow_pickle), label, source)
+    if ":" in source and not source.startswith("."):  # relative imports are not accepted
+        return user_agent(source, label)
+    raise _unknown(source)
 
 
-def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
-    if name == REFERENCE or (name in AGENTS and not AGENTS[name].training_seeds):
-        return ResolvedAgent(name, name, name)
-    from mmc_gym.agents.policy import SUFFIXES, shipped_file
+def _file_of(name: str) -> tuple[Path, str, str]:
+    """Return the file of a name or path, a label, and its key in `AGENTS` if the file ships."""
+    from mmc_gym.agents.policy import shipped_file
 
     kind, _, seed = (name, "", "0") if name in AGENTS else name.rpartition("-")
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
-        path = shipped_file(kind, int(seed))
-        return ResolvedAgent(name, path.stem, kind, path)
-    path, label = Path(name), _without_suffix(Path(name).name)
-    if name and path.is_dir():
-        path, label = _agent_in(path), path.resolve().name
-    if path.suffix in SUFFIXES:
-        return ResolvedAgent(label, name, policy=path)
-    if not path.exists() and Path(f"{name}{SUFFIX}").is_file():  # as stable-baselines3 names it
-        path = Path(f"{name}{SUFFIX}")
-    if path.suffix == SUFFIX or (path.is_file() and is_zipfile(path)):
-        return ResolvedAgent(label, name, model=SavedModel(path, allow_pickle))
-    if ":" in name and not name.startswith("."):  # relative imports are not accepted
-        return ResolvedAgent(name, name)
-    raise _unknown(name)
+        return shipped_file(kind, int(seed)), name, kind
+    path = Path(name)
+    if name and path.is_dir() and name not in AGENTS:
+        return _agent_in(path), path.resolve().name, ""
+    return path, _without_suffix(path.name), ""
+
+
+def read_card(name: str) -> PolicyCard | None:
+    """Return the card of the policy that a name or path stands for; None if it is no policy.
+
+    No module is imported.
+    """
+    from mmc_gym.agents.policy import SUFFIXES, load_policy
+
+    path, *_ = _file_of(name)
+    return load_policy(path)[1] if path.suffix in SUFFIXES else None
 
 
 def _agent_in(folder: Path) -> Path:

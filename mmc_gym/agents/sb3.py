@@ -24,7 +24,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -183,16 +183,15 @@ class ModelAgent(Agent[Any]):
             )
         return self
 
-    @property
-    def digest(self) -> str:
-        """The SHA-256 of its weights and statistics."""
+    def parts(self) -> list[Any]:
+        """Return the SHA-256 of its weights and statistics, and the classes of its policy."""
         digest = hashlib.sha256()
         for name, tensor in self._policy.state_dict().items():
             digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
         statistics = getattr(self._normalizer, "obs_rms", None) or {}
         for rms in statistics.values() if isinstance(statistics, Mapping) else [statistics]:
             digest.update(rms.mean.tobytes() + rms.var.tobytes())
-        return digest.hexdigest()
+        return [digest.hexdigest(), *self.classes]
 
     @property
     def classes(self) -> list[type]:
@@ -300,6 +299,10 @@ class SavedModel:
 
     path: Path  #: of the file
     allow_pickle: bool = False  #: whether its pickles may be loaded
+    trained_in: ClassVar = TrainingEnvironment()  #: the file does not tell
+
+    def __getstate__(self) -> dict[str, Any]:  # each process reads the file anew
+        return {"path": self.path, "allow_pickle": self.allow_pickle}
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
@@ -352,17 +355,31 @@ class SavedModel:
             )
         return found[0] if found else None
 
-    @cached_property
-    def digest(self) -> str:
-        """The SHA-256 of its file and its statistics."""
+    def parts(self) -> list[Any]:
+        """Return the SHA-256 of its file and its statistics, and the classes of its policy.
+
+        The classes are left out if its pickles may not be loaded.
+        """
         statistics = b"" if self.statistics is None else self.statistics.read_bytes()
-        return hashlib.sha256(self.path.read_bytes() + statistics).hexdigest()
+        digest = hashlib.sha256(self.path.read_bytes() + statistics).hexdigest()
+        return [digest, *(self.load().classes if self.allow_pickle else [])]
+
+    def acting_in(self, env: Any) -> ModelAgent:
+        """Return its agent if it can act in an environment, see `ModelAgent.acting_in`."""
+        return self.load().acting_in(env)
 
     def load(self, normalizer: Any = None) -> ModelAgent:
         """Load the model, if pickles are allowed: that runs the code that they name.
 
         A `normalizer`, which is a `VecNormalize`, takes the place of the statistics in the folder.
         """
+        agent = self._without_statistics
+        if normalizer is None and self.statistics is not None:
+            normalizer = read_statistics(self.statistics, self.allow_pickle)
+        return agent.load(normalizer)
+
+    @cached_property
+    def _without_statistics(self) -> ModelAgent:
         _ = self.facts  # read first: it names a missing or wrong file
         policy, attributes = _unpickled(self.path, self.allow_pickle, self._load_policy)
         agent = ModelAgent(
@@ -370,13 +387,11 @@ class SavedModel:
             None,
             label=self.path.name,
             training_steps=self.training_steps or 0,
-            trained_in=TrainingEnvironment(),
+            trained_in=self.trained_in,
             lacks_statistics=_lacks_statistics(attributes),
         )
         agent.training_seed = self.training_seed
-        if normalizer is None and self.statistics is not None:
-            normalizer = read_statistics(self.statistics, self.allow_pickle)
-        return agent.load(normalizer)
+        return agent
 
     def _load_policy(self) -> tuple[Any, dict[str, Any]]:
         """Return the policy, and the attributes of the model; those not needed are None."""

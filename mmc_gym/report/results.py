@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 
 from mmc_gym._errors import UserError, require_choice, require_names
-from mmc_gym.agents import AGENTS, Knowledge, resolve
+from mmc_gym.agents import AGENTS, Knowledge
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
+from mmc_gym.agents.resolver import read_card
 from mmc_gym.benchmark.generalisation import (
     PLACES,
     Judged,
@@ -83,7 +84,7 @@ class AgentIdentity:
         cards = []
         for source in self.sources:
             with suppress(UserError, OSError):  # its file may have gone since it was played
-                card = resolve(source).card
+                card = read_card(source)
                 cards += [card] if card and len(card.learning_curve) > 1 else []
         return tuple(cards) if len(cards) == len(self.sources) else ()
 

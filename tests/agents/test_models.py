@@ -435,9 +435,9 @@ def test_what_is_no_model_is_an_error_of_the_user(tmp_path):
         archive.writestr("data", "{}")
     for name in ("text.zip", "other.zip"):
         with pytest.raises(UserError, match="must be a file that stable-baselines3's save wrote"):
-            resolve(tmp_path / name).check()
+            resolve(tmp_path / name)
     with pytest.raises(FileNotFoundError, match=r"gone\.zip"):
-        resolve(tmp_path / "gone.zip").check()
+        resolve(tmp_path / "gone.zip")
     with pytest.raises(UserError, match=r"with best_model.zip, or .* got other.zip, text.zip"):
         resolve(tmp_path)
 

@@ -9,9 +9,11 @@ import gymnasium as gym
 import pytest
 
 from mmc_gym import UserError, make_agent
+from mmc_gym._identity import identity
 from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolved
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN
+from mmc_gym.agents.resolver import read_card
 from mmc_gym.interface import CannotActError
 
 OWN = """
@@ -65,13 +67,12 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
 def test_a_policy_is_resolved_by_its_path_whatever_that_is(folder, suffix):
     agent = resolve(f"lr=0.001/mine.{suffix}")
-    agent.check()
     assert (agent.label, agent.source) == ("mine", f"lr=0.001/mine.{suffix}")
     assert (agent.name, agent.training_seed, agent.entry) == ("", 3, None)
     assert agent.knowledge.kind == "yours"
     assert agent.knowledge.senses == AGENTS["ppo"].knowledge.senses
-    shipped = resolve("ppo-3")
-    assert agent.fingerprint == shipped.fingerprint == load_policy(shipped.policy)[1].sha256
+    sha256 = load_policy(PRETRAINED / "ppo-3.json")[1].sha256
+    assert agent.fingerprint == resolve("ppo-3").fingerprint == sha256
     assert make_agent(agent.source, gym.make("MMCReach-v0")).card == agent.card
     with pytest.raises(FileNotFoundError, match="ppo-7"):
         resolve_all([f"x=gone/ppo-7.{suffix}"])
@@ -114,13 +115,21 @@ def test_a_resolved_agent_travels_with_its_fingerprint_and_is_read_anew(folder):
     assert (agent.source, agent.training_seed) == ("my_agents:Still", None)
     assert (agent.knowledge, agent.card) == (UNKNOWN, None)
     before = agent.fingerprint
-    agent.check()
-    (folder / "my_agents.py").write_text(f"{OWN}# changed")
+    (folder / "my_agents.py").write_text(OWN.replace("shape[0]", "shape[0] + 1"))
     assert resolve("my_agents:Still").fingerprint != before
     travelled = pickle.loads(pickle.dumps(agent))
     assert (travelled.label, travelled.fingerprint) == ("x", before)
-    assert "factory" not in vars(travelled)
-    assert travelled.factory(gym.make("MMCReach-v0")).size == 3
+    for process, size in (("this", 3), ("another", 4)):
+        if process == "another":
+            del sys.modules["my_agents"]
+        assert travelled.factory(gym.make("MMCReach-v0")).size == size
+
+
+def test_a_card_is_read_without_an_import(folder):
+    names = ("ppo-3", "lr=0.001/mine.json", "mmc", REFERENCE, "my_agents:Still", "given:make")
+    cards = [read_card(name) for name in names]
+    assert cards == [resolve("ppo-3").card] * 2 + [None] * 4
+    assert "my_agents" not in sys.modules
 
 
 def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatch):
@@ -132,15 +141,17 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatc
     assert (resolve(make).label, resolve(make).source_name) == ("make", "given:make")
     assert (resolve(thing).label, resolve(thing).factory(None)) == ("SimpleNamespace", thing)
     monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
-    for source in ("of_a_prompt:make", "no_such_package.module:make"):
-        assert len(resolve(source).fingerprint) == 64  # though no file is known
+    sys.modules["of_a_prompt"].make = make
+    assert len(resolve("of_a_prompt:make").fingerprint) == 64  # though no file is known
+    assert len(identity("no_such_package.module:make")) == 64
     assert resolve(make).fingerprint != resolve(thing).fingerprint
 
 
 def test_the_steps_of_a_training_are_known_or_none(folder, frozen):
     agents = resolve_all(["ppo-3", "mmc", REFERENCE, frozen, "runs/mine-9.json", "my_agents:Still"])
     steps = [agent.training_steps for agent in agents]
-    assert steps == [load_policy(agents[0].policy)[1].training_steps, 0, 0, None, steps[0], None]
+    ppo_steps = load_policy(PRETRAINED / "ppo-3.json")[1].training_steps
+    assert steps == [ppo_steps, 0, 0, None, ppo_steps, None]
     with pytest.raises(CannotActError, match="a hand without an arm"):
         agents[2].factory(gym.make("MMCReach-v0"))
 

@@ -1,5 +1,6 @@
 """Reading a store: who the agents are, and what is done where something is missing or damaged."""
 
+import zipfile
 from dataclasses import replace
 
 import pytest
@@ -62,7 +63,10 @@ def test_the_kind_of_an_agent_follows_from_its_sources(sources, name, kind, leng
         (["mmc"], None, "not trained"),
     ],
 )
-def test_how_an_agent_was_trained(sources, steps, said):
+def test_how_an_agent_was_trained(sources, steps, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with zipfile.ZipFile("mine.zip", "w") as archive:
+        archive.writestr("data", '{"policy_class": "", "action_space": ""}')
     assert identify(policies(*sources, steps=steps)).training == said
 
 
@@ -80,7 +84,7 @@ def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
 
 
 def test_another_name_changes_nothing_and_a_name_proves_nothing(tmp_path):
-    sources = {"twin": "mmc", "old": "ppo-0", "ppo-mine": "mine:make"}
+    sources = {"twin": "mmc", "old": "ppo-0", "ppo-mine": "json:loads"}
     agents = {name: AGENTS["ik-dls"]._replace(source=source) for name, source in sources.items()}
     write_store(tmp_path, agents, ("random",))
     results = read_results(tmp_path, 20)
@@ -124,7 +128,7 @@ def test_an_agent_that_failed_everywhere_is_ranked(small, tmp_path):
 def test_the_focus_is_as_given_or_your_own_agents_or_the_first(small, tmp_path):
     assert read_results(small, 20).focus == ("mmc",)
     assert read_results(small, 20, ["ik-dls"]).focus == ("ik-dls",)
-    mine = AGENTS["mmc"]._replace(lost=1, source="mine:make")
+    mine = AGENTS["mmc"]._replace(lost=1, source="json:loads")
     write_store(tmp_path / "own", {"mmc": AGENTS["mmc"], "mine": mine}, ("random",))
     results = read_results(tmp_path / "own", 20)
     assert results.focus == ("mine",) and results.agents[0] == "mine"
