@@ -269,6 +269,8 @@ def read_statistics(source: Any, allow_pickle: bool) -> Any:
     if isinstance(source, (str, Path)):
         path = Path(source)
         normalizer = _unpickled(path, allow_pickle, lambda: pickle.loads(path.read_bytes()))
+        if hasattr(normalizer, "normalize_obs"):  # what it lacks now it could not be sent without
+            normalizer.__dict__ |= {"venv": None, "class_attributes": {}, "returns": None}
     accepted = "a VecNormalize, or the path of its file"
     require(hasattr(normalizer, "normalize_obs"), "statistics", source, accepted)
     return normalizer

@@ -1,11 +1,13 @@
 """Models of stable-baselines3 as agents: as they were trained, or with a word about it."""
 
 import importlib
+import pickle
 import shutil
 import warnings
 import zipfile
 from copy import deepcopy
 
+import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pandas as pd
@@ -130,6 +132,13 @@ def test_a_model_that_was_loaded_is_given_its_statistics_or_refused(model, folde
             (agent,) = resolve_all([source], statistics=forms[form], allow_pickle=True)
             assert agent.fingerprint == resolve(model).fingerprint
             assert agent.training_seed == (5 if source is alone else None)
+
+
+def test_a_model_with_statistics_of_a_file_is_sent_to_other_processes(model, folder, env):
+    loaded, file = PPO.load(folder / "model", device="cpu"), folder / "vec_normalize.pkl"
+    (agent,) = resolve_all([loaded], statistics=file, allow_pickle=True)
+    sent = pickle.loads(cloudpickle.dumps(agent))
+    assert acts_as(model, sent.factory(env), env)
 
 
 def test_a_model_that_was_loaded_into_its_normalization_needs_no_more(model, folder, env):
