@@ -58,8 +58,8 @@ class Agent(ABC, Generic[State]):
 
     def __repr__(self) -> str:
         """Return its class and, if it keeps an interface, joints and control mode."""
-        interfaces = [one for one in vars(self).values() if isinstance(one, ReachInterface)]
-        facts = [f"{len(one.segment_lengths)} joints, {one.control}" for one in interfaces]
+        interfaces = [value for value in vars(self).values() if isinstance(value, ReachInterface)]
+        facts = [f"{len(each.segment_lengths)} joints, {each.control}" for each in interfaces]
         return f"{type(self).__name__}({', '.join(facts)})"
 
     @abstractmethod
@@ -272,14 +272,14 @@ def wrappers_of(env: Any) -> list[Any]:
 
     For a vector, the wrappers of its first environment follow if it runs in this process.
     """
-    found = []
+    wrappers = []
     while env is not None:
         if hasattr(env, "venv") or isinstance(env, (gym.Wrapper, VectorWrapper)):
-            found.append(env)
+            wrappers.append(env)
             env = env.venv if hasattr(env, "venv") else env.env
         else:  # a vector with its environments, or the innermost environment
             env = next(iter(getattr(env, "envs", ())), None)
-    return found
+    return wrappers
 
 
 def changes_contract(wrapper: Any) -> bool:
@@ -317,7 +317,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
         return
     # Equal control steps may be divided into different substeps.
     left_out = ("segment_masses", "substep", "substeps")
-    names = [each.name for each in fields(trained) if each.name not in left_out]
+    names = [field.name for field in fields(trained) if field.name not in left_out]
     differences = "; ".join(
         f"{name} {getattr(trained, name)} in training, {getattr(here, name)} here"
         for name in (*names, "masses", "control_step")

@@ -56,10 +56,10 @@ class NetworkAgent(JointTargetAgent[State]):
         require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
         require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
-        count, own = len(interface.segment_lengths), network.segment_count
-        if own != count:
-            accepted = f"of {count} segments, as the environment's arm"
-            raise UserError(f"network must be {accepted}, got one of {own}")
+        arm_count, network_count = len(interface.segment_lengths), network.segment_count
+        if network_count != arm_count:
+            accepted = f"of {arm_count} segments, as the environment's arm"
+            raise UserError(f"network must be {accepted}, got one of {network_count}")
         self.network = network
         self.iterations_per_step = iterations_per_step
 

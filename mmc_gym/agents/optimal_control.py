@@ -124,12 +124,12 @@ def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
 def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
     """Return L (steps, ..., 3) of the longest reach, last step first; `value` is S at its end."""
     a, b = plant(assumed, step)
-    found = []
+    gains_backwards = []
     for _ in range(round(assumed.longest / step)):
         gain = optimal_gain(assumed, step, value)
-        found.append(gain)
+        gains_backwards.append(gain)
         value = staying_cost(assumed, 0.0) + a.T @ value @ (a - b * gain[..., None, :])
-    return np.array(found)
+    return np.array(gains_backwards)
 
 
 def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Floats:
@@ -179,7 +179,7 @@ class Gains(NamedTuple):
 def gains(assumed: Assumptions, step: float) -> Gains:
     """Return the gains for a control step of `step` seconds."""
     moves = np.geomspace(SMALLEST, LARGEST, ENTRIES)
-    values = np.array([staying_value(assumed, step, one) for one in moves])
+    values = np.array([staying_value(assumed, step, move) for move in moves])
     staying = optimal_gain(assumed, step, values)
     control = np.concatenate((staying[None], reaching_gains(assumed, step, values)))
     control[..., 0] /= moves

@@ -76,8 +76,8 @@ class PolicyNetwork:
             self._log_std = None if is_constant else _layer("log_std", tensors)
             actions = tensors["mean.bias"].shape
             if is_constant and tensors["log_std"].shape != actions:  # as with use_sde
-                found = tensors["log_std"].shape
-                raise ValueError(f"tensors must be: log_std of shape {actions}, got {found}")
+                shape = tensors["log_std"].shape
+                raise ValueError(f"tensors must be: log_std of shape {actions}, got {shape}")
             self.input_size: int = tensors[first].shape[-1]
         except KeyError as error:
             raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None

@@ -53,11 +53,11 @@ def learned_knowledge(
     senses = "posture, joint speeds, target, and offset from hand to target, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
     senses += "; and what was drawn for the episode" if context else ""
-    given = "not given: had to learn"
+    access = "not given: had to learn"
     if base_agent:
-        given = f"given to {base_agent}, which it corrects"
+        access = f"given to {base_agent}, which it corrects"
         senses += f"; and what {base_agent} proposes"
-    return Knowledge(kind, lengths=given, actions=given, senses=senses)
+    return Knowledge(kind, lengths=access, actions=access, senses=senses)
 
 
 @dataclass(frozen=True)

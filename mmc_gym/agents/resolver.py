@@ -103,7 +103,7 @@ def resolve_all(
         UserError: also for none, or two of the same label and training seed.
         FileNotFoundError: if a file is missing.
 
-    >>> [(one.label, one.training_seed) for one in resolve_all(["mmc", "mine=ppo-3"])]
+    >>> [(agent.label, agent.training_seed) for agent in resolve_all(["mmc", "mine=ppo-3"])]
     [('mmc', None), ('mine', 3)]
     """
     accepted = "a list of agents, such as ['mmc', 'ppo'], or a mapping"
@@ -157,8 +157,8 @@ def _by_agent(name: str, value: Any, agents: Sequence[ResolvedAgent]) -> list[An
     if isinstance(value, Mapping):
         labelled = dict(value)
     else:
-        several = value if isinstance(value, (list, tuple)) else [value]
-        labelled = dict(_labelled(one) if isinstance(one, str) else ("", one) for one in several)
+        values = value if isinstance(value, (list, tuple)) else [value]
+        labelled = dict(_labelled(text) if isinstance(text, str) else ("", text) for text in values)
     everyone = labelled.pop("", None)
     for label in labelled:
         labels = dict.fromkeys(agent.label for agent in agents)
@@ -205,8 +205,8 @@ def _labelled(text: str) -> tuple[str, str]:
 
 def _check_label(label: object) -> None:
     accepted = f"a text of at most {_LONGEST_LABEL} characters"
-    fine = isinstance(label, str) and len(label.encode(errors="replace")) <= _LONGEST_LABEL
-    require(fine, "the label of an agent", label, accepted)
+    is_label = isinstance(label, str) and len(label.encode(errors="replace")) <= _LONGEST_LABEL
+    require(is_label, "the label of an agent", label, accepted)
 
 
 def _expanded(name: str, every_training: bool) -> tuple[str, list[str]]:
@@ -224,11 +224,11 @@ def _matching(pattern: str) -> list[str]:
     """Return the files and folders of agents that a pattern matches, mine-9 before mine-10."""
     # Of a policy's two files one is enough.
     suffixes = (".safetensors",) if pattern.endswith(".safetensors") else (".json", SUFFIX)
-    found = [path for path in glob(pattern) if path.endswith(suffixes) or Path(path).is_dir()]
-    if not found:
+    paths = [path for path in glob(pattern) if path.endswith(suffixes) or Path(path).is_dir()]
+    if not paths:
         raise UserError(f"agents must match a file or a folder, got {pattern!r}")
     # With numbers equally long, texts are in the order of their numbers.
-    return sorted(found, key=lambda path: re.sub(r"\d+", lambda digits: digits[0].zfill(20), path))
+    return sorted(paths, key=lambda path: re.sub(r"\d+", lambda digits: digits[0].zfill(20), path))
 
 
 def _common_label(pattern: str) -> str:
@@ -297,14 +297,14 @@ def read_card(name: str) -> PolicyCard | None:
 def _agent_in(folder: Path) -> Path:
     """Return the file of the only policy in a folder, or else of the only model."""
     cards = sorted(folder.glob("*.json"))
-    policies = [one for one in cards if one.with_suffix(".safetensors").is_file()]
-    found = policies or models_in(folder)
-    if len(found) != 1:
+    policies = [card for card in cards if card.with_suffix(".safetensors").is_file()]
+    files = policies or models_in(folder)
+    if len(files) != 1:
         raise UserError(
             f"agent '{folder}' must be a folder with one policy, with best_model.zip, or with one "
-            f"zip file of stable-baselines3, got {', '.join(one.name for one in found) or 'none'}"
+            f"zip file of stable-baselines3, got {', '.join(file.name for file in files) or 'none'}"
         )
-    return found[0]
+    return files[0]
 
 
 def _unknown(agent: object) -> UserError:

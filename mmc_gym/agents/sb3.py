@@ -73,7 +73,9 @@ class TrainingEnvironment(NamedTuple):
             return cls()
         names = _changing_wrappers(env)
         chain = wrappers_of(env)
-        wraps = [one.single_wrapper for one in chain if hasattr(type(one), "single_wrapper")]
+        wraps = [
+            wrapper.single_wrapper for wrapper in chain if hasattr(type(wrapper), "single_wrapper")
+        ]
         wrap = wraps[0] if len(wraps) == len(names) == 1 else None
         return cls(control, body, () if wrap else names, tuple(context or ()), wrap)
 
@@ -157,11 +159,11 @@ class ModelAgent(Agent[Any]):
         """
         self.load()
         for name in _SPACES:
-            own = _shape(getattr(self._policy, name))
+            trained = _shape(getattr(self._policy, name))
             here = _shape(getattr(env, f"single_{name}", getattr(env, name)))
-            if own != here:
-                message = f"{name} must be of shape {own} for {self.label}, got {here}"
-                raise CannotActError(f"{message}; {_remedy(own, here)}")
+            if trained != here:
+                message = f"{name} must be of shape {trained} for {self.label}, got {here}"
+                raise CannotActError(f"{message}; {_remedy(trained, here)}")
         control = read_attribute(env, "control")
         if self.control and control and control != self.control:
             raise ControlError(
@@ -173,7 +175,7 @@ class ModelAgent(Agent[Any]):
                 f"{self.label} does not say whether it was trained behind a VecNormalize; if it "
                 "was, say --statistics FILE (in Python: statistics=...)"
             )
-        if any(isinstance(one, AsTrained) for one in wrappers_of(env)):
+        if any(isinstance(wrapper, AsTrained) for wrapper in wrappers_of(env)):
             return self
         here = _changing_wrappers(env)
         if lacks := ", ".join(name for name in self.trained_in.wrappers if name not in here):
@@ -218,8 +220,8 @@ def _is_outside(observations: Any, space: Any) -> bool | None:
     Of normalized ones in `MMCReach-v0` that are 9,999 of 10,000 or more.
     """
     if isinstance(space, gym.spaces.Dict):
-        found = [_is_outside(observations[name], one) for name, one in space.items()]
-        return None if None in found else any(found)
+        answers = [_is_outside(observations[name], part) for name, part in space.items()]
+        return None if None in answers else any(answers)
     if not space.is_bounded():
         return None
     return bool(np.any((observations < space.low) | (observations > space.high)))
@@ -227,13 +229,13 @@ def _is_outside(observations: Any, space: Any) -> bool | None:
 
 def _shape(space: Any) -> Any:
     if isinstance(space, gym.spaces.Dict):
-        return {name: one.shape for name, one in space.items()}
+        return {name: part.shape for name, part in space.items()}
     return space.shape
 
 
-def _remedy(own: Any, here: Any) -> str:
+def _remedy(trained: Any, here: Any) -> str:
     """Return what may be done about observations or actions of another shape."""
-    if isinstance(own, dict) and not isinstance(here, dict):
+    if isinstance(trained, dict) and not isinstance(here, dict):
         return "let it play in MMCReachGoal-v0 (--scenarios; in Python: env or environments)"
     arguments = "--env-kwargs observe_context=... (in Python: env_kwargs)"
     return f"if it was trained with the context say {arguments}; if behind a wrapper {_SAY_IT}"
@@ -291,7 +293,7 @@ def _unpickled(path: Path, is_allowed: bool, load: Callable[[], Any]) -> Any:
 
 def _changing_wrappers(env: Any) -> tuple[str, ...]:
     """Name the wrappers that change observations or actions."""
-    names = (type(one).__name__ for one in wrappers_of(env) if changes_contract(one))
+    names = (type(wrapper).__name__ for wrapper in wrappers_of(env) if changes_contract(wrapper))
     return tuple(name for name in names if name != "VecNormalize")  # a model has its statistics
 
 
@@ -348,14 +350,16 @@ class SavedModel:
         pickles = [file for file in (*folder.glob("*.pkl"), *of_zoo) if file.is_file()]
         # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
         # model_vecnormalize_1000_steps.pkl of model_1000_steps.zip.
-        own = [one for one in pickles if one.stem.replace("_vecnormalize", "") == self.path.stem]
-        found = own or [one for one in pickles if "norm" in one.name.lower()]
-        if len(found) > 1:
+        alike = [
+            file for file in pickles if file.stem.replace("_vecnormalize", "") == self.path.stem
+        ]
+        candidates = alike or [file for file in pickles if "norm" in file.name.lower()]
+        if len(candidates) > 1:
             raise UserError(
                 f"{self.path} must have one file of VecNormalize in its folder, or one called "
-                f"{self.path.stem}_vecnormalize.pkl, got {', '.join(map(str, sorted(found)))}"
+                f"{self.path.stem}_vecnormalize.pkl, got {', '.join(map(str, sorted(candidates)))}"
             )
-        return found[0] if found else None
+        return candidates[0] if candidates else None
 
     def parts(self) -> list[Any]:
         """Return the SHA-256 of its file and its statistics, and the classes of its policy.
@@ -407,7 +411,7 @@ class SavedModel:
         kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
         more = {"lr_schedule": lambda progress: 0.0, "use_sde": data.get("use_sde")}
         taken = inspect.signature(kind).parameters  # ARS has no schedule
-        options = {name: one for name, one in more.items() if one and name in taken} | options
+        options = {name: value for name, value in more.items() if value and name in taken} | options
         policy = kind(*(data[name] for name in _SPACES), **options)
         policy.load_state_dict(weights["policy"])
         return policy, data

@@ -108,7 +108,7 @@ class TrialLearner(Agent[LearnerState]):
         randoms = tuple(np.random.default_rng(seed) for seed in seeds)
         noise = np.ones(len(randoms))
         if self.noise_spread:  # else nothing is drawn
-            noise += [self.noise_spread * one.standard_normal() for one in randoms]
+            noise += [self.noise_spread * random.standard_normal() for random in randoms]
         return LearnerState(tuple(map(self.first, randoms)), randoms, np.maximum(noise, 0.0))
 
     @override
@@ -120,7 +120,7 @@ class TrialLearner(Agent[LearnerState]):
         is_seen = np.abs(moved) > WAITING
         errors = np.where(is_seen, np.degrees(np.angle(moved * way.conj())), 0.0).tolist()
         learned = (self.learn(*pair) for pair in zip(errors, state.learned, strict=True))
-        after = tuple(self.rest(rest, one) if rest else one for one in learned)
+        after = tuple(self.rest(rest, subject) if rest else subject for subject in learned)
         return LearnerState(after, state.randoms, state.noise)
 
     @override
@@ -142,8 +142,10 @@ class TrialLearner(Agent[LearnerState]):
             starts = np.ones(len(rows.joint_angles), bool)
             if not begins:  # a new episode, whose learner knows nothing
                 starts &= np.asarray(episode_start, bool).reshape(-1)
-                known = zip(starts, state.learned, state.randoms, strict=True)
-                learned = tuple(self.first(own) if one else kept for one, kept, own in known)
+                subjects = zip(starts, state.learned, state.randoms, strict=True)
+                learned = tuple(
+                    self.first(random) if is_new else before for is_new, before, random in subjects
+                )
                 state = state._replace(learned=learned)
             movement = new if begins else where(starts, new, state.movement)
             state = state._replace(movement=movement)
@@ -154,7 +156,7 @@ class TrialLearner(Agent[LearnerState]):
         action, body = self.body.respond(of.body, aimed)
         if self.motor_noise:
             scale = self.motor_noise * state.noise[:, None]
-            normal = [one.standard_normal(action.shape[-1]) for one in state.randoms]
+            normal = [random.standard_normal(action.shape[-1]) for random in state.randoms]
             action = np.clip(action * (1 + scale * normal), -1, 1)
         last, speed = as_points(rows.hand).copy(), np.abs(felt - of.felt)
         if self.sees_peak:
