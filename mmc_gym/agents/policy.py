@@ -57,8 +57,6 @@ FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on th
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 SUFFIXES = (".json", ".safetensors")  # of a policy's two files
 _DIGEST = "card_sha256"  # the entry of a card with the SHA-256 of all the others
-POSITIONS_FROM_DELTAS = ("joint_delta", "joint_position")
-"""The control modes of a policy and of another environment that it can act in."""
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
 """Entries of every row of a learning curve."""
 
@@ -206,7 +204,8 @@ class PolicyAgent(Agent[Any]):
             raise CannotActError(f"env must have {accepted}, got {count}")
         if card.context and not layout.context_size:
             raise _needs_context(card)
-        self._gives_positions = (card.control, interface.control) == POSITIONS_FROM_DELTAS
+        controls = (card.control, interface.control)
+        self._gives_positions = controls == ("joint_delta", "joint_position")
         if card.control != interface.control and not self._gives_positions:
             raise ControlError(
                 f"control must be {card.control!r} for this policy, got {interface.control!r}",

@@ -93,8 +93,6 @@ class ModelAgent(Agent[Any]):
     If the model is trained further, the agent acts with its present weights and statistics.
     """
 
-    training_seed: int | None = None
-
     def __init__(
         self,
         policy: Any,
@@ -103,6 +101,7 @@ class ModelAgent(Agent[Any]):
         label: str,
         training_steps: int,
         trained_in: TrainingEnvironment,
+        training_seed: int | None = None,
         lacks_statistics: bool | None = False,
     ) -> None:
         """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`.
@@ -111,7 +110,7 @@ class ModelAgent(Agent[Any]):
         missing; None if the model does not tell.
         """
         self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
-        self.control, self.context = trained_in.control, [*trained_in.context]
+        self.training_seed, self.control = training_seed, trained_in.control
         self.lacks_statistics = lacks_statistics
         self._policy, self._normalizer = policy, normalizer
 
@@ -388,16 +387,15 @@ class SavedModel:
     def _without_statistics(self) -> ModelAgent:
         _ = self.facts  # read first: it names a missing or wrong file
         policy, attributes = _unpickled(self.path, self.allow_pickle, self._load_policy)
-        agent = ModelAgent(
+        return ModelAgent(
             policy,
             None,
             label=self.path.name,
             training_steps=self.training_steps or 0,
             trained_in=self.trained_in,
+            training_seed=self.training_seed,
             lacks_statistics=_lacks_statistics(attributes),
         )
-        agent.training_seed = self.training_seed
-        return agent
 
     def _load_policy(self) -> tuple[Any, dict[str, Any]]:
         """Return the policy, and the attributes of the model; those not needed are None."""

@@ -136,22 +136,20 @@ class TrialLearner(Agent[LearnerState]):
         batch, rows = seen.joint_angles.shape[:-1], seen.in_rows()
         if state is None:
             state = self.begin(range(len(rows.joint_angles)))
-        begins = state.movement is None
-        if begins or np.any(episode_start):
-            new = self._begin_movement(rows)
+        movement = state.movement
+        if movement is None:
+            movement = self._begin_movement(rows)
+        elif np.any(episode_start):  # a new episode, whose learner knows nothing
             starts = np.ones(len(rows.joint_angles), bool)
-            if not begins:  # a new episode, whose learner knows nothing
-                starts &= np.asarray(episode_start, bool).reshape(-1)
-                subjects = zip(starts, state.learned, state.randoms, strict=True)
-                learned = tuple(
-                    self.first(random) if is_new else before for is_new, before, random in subjects
-                )
-                state = state._replace(learned=learned)
-            movement = new if begins else where(starts, new, state.movement)
-            state = state._replace(movement=movement)
-        state = self._aim(state, rows)
-        assert state.movement is not None
-        of, felt = state.movement, hand(rows.joint_angles, self._lengths)
+            starts &= np.asarray(episode_start, bool).reshape(-1)
+            subjects = zip(starts, state.learned, state.randoms, strict=True)
+            learned = tuple(
+                self.first(random) if is_new else before for is_new, before, random in subjects
+            )
+            state = state._replace(learned=learned)
+            movement = where(starts, self._begin_movement(rows), movement)
+        of = self._with_aim(movement, state, rows)
+        felt = hand(rows.joint_angles, self._lengths)
         aimed = Seen(rows.joint_angles, as_vectors(of.aim), rows.joint_speeds, as_vectors(felt))
         action, body = self.body.respond(of.body, aimed)
         if self.motor_noise:
@@ -173,19 +171,17 @@ class TrialLearner(Agent[LearnerState]):
         rest = np.zeros(len(felt))
         return Movement(self.body.start(still), felt, seen, felt, seen, seen, felt, rest)
 
-    def _aim(self, state: LearnerState, rows: Seen) -> LearnerState:
-        """Choose the aim of arms whose target has just appeared."""
-        assert state.movement is not None
-        of, target = state.movement, as_points(rows.target).copy()
+    def _with_aim(self, of: Movement, state: LearnerState, rows: Seen) -> Movement:
+        """Return the movement with the aim of arms whose target has just appeared."""
+        target = as_points(rows.target).copy()
         way = target - of.seen_at_begin
         appears = (np.abs(way) > WAITING) & (of.aim == of.begin)
         if not appears.any():
-            return state
+            return of
         aim = of.aim.copy()
         for arm in np.flatnonzero(appears):
             planned = self.aim(float(np.degrees(np.angle(way[arm]))), state.learned[arm])
             noise = self.planning_noise * state.noise[arm]
             planned += noise * state.randoms[arm].standard_normal()
             aim[arm] = of.begin[arm] + np.abs(way[arm]) * np.exp(1j * np.radians(planned))
-        shown = np.where(appears, target, of.target)
-        return state._replace(movement=of._replace(aim=aim, target=shown))
+        return of._replace(aim=aim, target=np.where(appears, target, of.target))
