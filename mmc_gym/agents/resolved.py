@@ -128,7 +128,7 @@ def untrained_agent(name: str, label: str) -> ResolvedAgent:
     """Return an agent of this package that needs no training."""
     entry = AGENTS[name]
     knowledge, control = entry.knowledge, entry.control
-    return ResolvedAgent(label, name, entry.make, _code, knowledge, name, control=control)
+    return ResolvedAgent(label, name, entry.make, _with_code, knowledge, name, control=control)
 
 
 def policy_agent(path: Path, label: str, source: str, name: str = "") -> ResolvedAgent:
@@ -144,7 +144,7 @@ def policy_agent(path: Path, label: str, source: str, name: str = "") -> Resolve
         label,
         source,
         partial(make_policy, path),
-        partial(_code, card.sha256) if card.base_agent else partial(tuple, [card.sha256]),
+        partial(_with_code, card.sha256) if card.base_agent else partial(tuple, [card.sha256]),
         learned_knowledge(
             card.base_agent,
             "learned" if name else "yours",
@@ -303,7 +303,8 @@ class _FunctionAgent:
         return result if isinstance(result, tuple) and len(result) == 2 else (result, None)
 
 
-def _code(*digests: str) -> tuple[str, ...]:
+def _with_code(*digests: str) -> tuple[str, ...]:
+    """Return digests, and that of the code of this package's agents."""
     return (*digests, code_digest())
 
 

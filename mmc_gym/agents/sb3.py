@@ -302,7 +302,7 @@ class SavedModel:
 
     path: Path  #: of the file
     allow_pickle: bool = False  #: whether its pickles may be loaded
-    trained_in: ClassVar = TrainingEnvironment()  #: the file does not tell
+    trained_in: ClassVar[TrainingEnvironment] = TrainingEnvironment()  #: the file does not tell
 
     def __getstate__(self) -> dict[str, Any]:  # each process reads the file anew
         return {"path": self.path, "allow_pickle": self.allow_pickle}
