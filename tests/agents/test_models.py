@@ -138,7 +138,7 @@ def test_a_model_with_statistics_of_a_file_is_sent_to_other_processes(model, fol
     loaded, file = PPO.load(folder / "model", device="cpu"), folder / "vec_normalize.pkl"
     (agent,) = resolve_all([loaded], statistics=file, allow_pickle=True)
     sent = pickle.loads(cloudpickle.dumps(agent))
-    assert acts_as(model, sent.factory(env), env)
+    assert_acts_as(model, sent.factory(env), env)
 
 
 def test_a_model_that_was_loaded_into_its_normalization_needs_no_more(model, folder, env):
