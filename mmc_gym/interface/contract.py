@@ -236,7 +236,7 @@ class ReachInterface:
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""
         flat = self.layout.flatten(self.layout.check(observation))
-        parts = self.layout.split(np.asarray(flat, np.float64))
+        parts = self.layout.split(flat.astype(np.float64))
         joint_angles = np.arctan2(parts.sines, parts.cosines)
         target, offset = in_the_world(np.array([parts.target, parts.offset]), joint_angles)
         return Seen(
