@@ -192,6 +192,7 @@ def benchmark(
     cluster: Text = None,
     interface: Text = None,
     protocol: Annotated[Literal["", "generalisation"], _arg("generalisation")] = "",
+    suite: Annotated[Literal["", "standard", "faults", "realworld"], _arg("NAME")] = "",
     more: PlayOptions = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep every episode in a store, print a ranking.
@@ -209,9 +210,12 @@ def benchmark(
         interface: Of your own environments, see compare.
         protocol: Scenarios inside, between and beyond the ranges that the
             first agent trained on some was trained on, and combined.
+        suite: Scenarios besides: standard (all that ship), faults (motors and
+            senses that fail) or realworld (the Real-World RL suite's challenges).
     """
     from mmc_gym.agents import AGENTS, REFERENCE, resolve_all
     from mmc_gym.benchmark import generalisation, ranking, runner
+    from mmc_gym.benchmark.suite import SUITES
 
     shared = {**more.load(), "interface": interface}
     failed: list[str] = []
@@ -221,6 +225,7 @@ def benchmark(
         resolved_agents = resolve_all(agents, allow_pickle=shared["allow_pickle"])
         cards = [agent.card for agent in resolved_agents]
         scenarios = (*scenarios, *generalisation.protocol(cards))
+    scenarios = (*scenarios, *SUITES.get(suite, ()))
     with progress_bar() as bar:
         task = bar.add_task("cells")
 

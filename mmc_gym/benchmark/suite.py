@@ -21,7 +21,7 @@ from mmc_gym.agents.planners import (
 )
 from mmc_gym.agents.resolved import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
-from mmc_gym.envs.names import TASKS
+from mmc_gym.envs.names import CHALLENGES, TASKS
 from mmc_gym.envs.scenarios import (
     EnvLike,
     OwnEnvironment,
@@ -56,6 +56,42 @@ SCENARIOS: dict[str, Scenario] = {
     name: parse_scenario(name) for name in (*TASKS, *_PERTURBED.split())
 }
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
+
+_FAULTS = """
+random
+motor-gain-0.7 motor-gain-0.4 motor-gain-0.2 motor-gain--1-of-3
+motor-gain-0.4-of-1 motor-gain-0.4-of-2
+motor-offset-0.1-of-2 motor-offset-0.2-of-2 motor-offset-0.3-of-2
+dead-zone-0.05 dead-zone-0.1 dead-zone-0.3
+backlash-0.05 backlash-0.1 backlash-0.3
+action-noise-0.1 action-noise-0.3 action-noise-0.5
+action-noise-size-0.1 action-noise-size-0.2 action-noise-size-0.5
+action-delay-20 action-delay-60 action-delay-160
+dropped-actions-0.1 dropped-actions-0.3 dropped-actions-0.5
+held-actions-0.1 held-actions-0.3 held-actions-0.5
+repeated-actions-0.3 repeated-actions-0.6 repeated-actions-0.9
+stuck-motor-1 stuck-motor-2 stuck-motor-3
+torque-limit-0.1 torque-limit-0.03 torque-limit-0.01
+servo-gain-0.8 servo-gain-0.5 servo-gain-0.3
+sensor-offset-0.05-of-2 sensor-offset-0.15-of-2 sensor-offset-0.3-of-2
+sensor-drift-0.1-of-2 sensor-drift-0.2-of-2 sensor-drift-0.4-of-2
+stuck-sensor-1 stuck-sensor-2 stuck-sensor-3
+encoder-256 encoder-64 encoder-16
+observation-noise-0.01 observation-noise-0.03 observation-noise-0.1
+dropped-numbers-0.01 dropped-numbers-0.05 dropped-numbers-0.1
+held-numbers-0.1 held-numbers-0.3 held-numbers-0.7
+repeated-observations-0.3 repeated-observations-0.6 repeated-observations-0.9
+cursor-shift-0.1 cursor-shift-0.2 cursor-shift-0.4
+base-turn-10 base-turn-20 base-turn-40
+segment-mass-2 segment-mass-4 segment-mass-8
+"""
+SUITES: dict[str, tuple[str, ...]] = {
+    "standard": tuple(SCENARIOS),
+    "faults": tuple(_FAULTS.split()),
+    "realworld": ("random", *CHALLENGES),
+}
+"""Names of scenarios that are played together: `SCENARIOS`; motors and senses that fail, in a few
+strengths each; and the combined challenges of the Real-World RL suite."""
 
 SET_BY_SCENARIOS = ("task", "perturbations", "max_episode_steps")
 """Arguments of environments that scenarios and experiments set, so that users may not."""

@@ -42,7 +42,7 @@ AGENTS = {
     "ik-dls": Mover(30, 0.02, 0.02),
     "ppo": Mover(28, 0.02, 0.0005, (0, 1)),
     "ppo-smooth": Mover(45, 0.0, 0.001, (0, 1)),
-    HOSTILE: Mover(35, 0.01, 0.01, source="hostile:make"),
+    HOSTILE: Mover(35, 0.01, 0.01, source="json:loads"),
 }
 
 
