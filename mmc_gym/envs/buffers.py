@@ -42,8 +42,8 @@ class Noise:
         sizes = dict(zip((*MISSED, *SPELLS), counts, strict=True))
         uniform = {name: (frozenset([name]), size) for name, size in sizes.items()}
         self._names = touched & RANDOM
-        self._normal, self._normals = _blocks(count, normal, touched)
-        self._uniform, self._uniforms = _blocks(count, uniform, touched)
+        self._normal, self._normals = _blocks(count, normal, touched, np.float64)
+        self._uniform, self._uniforms = _blocks(count, uniform, touched, np.float32)
         self._is_noisy = np.zeros(count, dtype=bool)
         self.is_drawn = bool(self._names)  #: whether any arm may need numbers
 
@@ -63,29 +63,34 @@ class Noise:
             if self._normal:
                 randoms[arm].standard_normal(out=self._normals[arm])
             if self._uniform:
-                randoms[arm].random(out=self._uniforms[arm])
+                randoms[arm].random(dtype=np.float32, out=self._uniforms[arm])
 
     def normal(self, name: str, steps: Indices, arms: Any = None) -> Floats:
         """Return normally distributed numbers of all arms, or of some, for a step, (n, …)."""
-        arms = np.arange(len(self._is_noisy)) if arms is None else arms
-        return self._normals[arms, steps % _BLOCK, self._normal[name]]
+        return _taken(self._normals, arms, steps)[:, self._normal[name]]
 
-    def uniform(self, name: str, steps: Indices, arms: Any = None) -> Floats:
+    def uniform(self, name: str, steps: Indices, arms: Any = None) -> NDArray[np.float32]:
         """Return numbers within [0, 1) of all arms, or of some, for a step, (n, …)."""
-        arms = np.arange(len(self._is_noisy)) if arms is None else arms
-        return self._uniforms[arms, steps % _BLOCK, self._uniform[name]]
+        return _taken(self._uniforms, arms, steps)[:, self._uniform[name]]
+
+
+def _taken(blocks: NDArray[Any], arms: Indices | None, steps: Indices) -> Any:
+    """Return the numbers of a step, (k, m), of arms with blocks (n, steps, m); None: of all."""
+    arms = np.arange(len(blocks)) if arms is None else arms
+    rows = blocks.reshape(len(blocks) * _BLOCK, blocks.shape[2])
+    return rows.take(arms * _BLOCK + steps % _BLOCK, axis=0)  # quicker than two indices
 
 
 def _blocks(
-    count: int, columns: dict[str, tuple[frozenset[str], int]], touched: frozenset[str]
-) -> tuple[dict[str, slice], Floats]:
+    count: int, columns: dict[str, tuple[frozenset[str], int]], touched: frozenset[str], dtype: Any
+) -> tuple[dict[str, slice], Any]:
     """Return where the numbers of each name are in a block, and the blocks of n arms."""
     places, end = {}, 0
     for name, (names, size) in columns.items():
         if names & touched:
             places[name] = slice(end, end + size)
             end += size
-    return places, np.zeros((count, _BLOCK, end))
+    return places, np.zeros((count, _BLOCK, end), dtype)
 
 
 def combined(std: Floats, more: Floats) -> Floats:
@@ -97,7 +102,7 @@ class Spells:
     """What happens to m numbers of n arms by chance, and then lasts for some control steps."""
 
     def __init__(self, count: int, size: int) -> None:
-        self._left = np.zeros((count, size))
+        self._left = np.zeros((count, size), np.float32)
 
     def begin(self, arms: Indices) -> None:
         """Begin episodes of some arms, in which nothing happens yet."""
@@ -105,7 +110,7 @@ class Spells:
 
     def now(
         self,
-        chances: Floats,
+        chances: NDArray[np.float32],
         probability: Floats,
         steps: Floats,
         *,
@@ -118,9 +123,10 @@ class Spells:
         it `begins_after` this step, a spell never follows another at once.
         """
         before = self._left[arms]
-        begins = (before == 0.0) & (chances < probability[:, None])
-        left = np.where(begins, steps[:, None] + begins_after, before)
-        self._left[arms] = np.maximum(left - 1.0, 0.0)
+        begins = (before == 0.0) & (chances < probability[:, None].astype(np.float32))
+        lasts = (steps[:, None] + begins_after).astype(np.float32)
+        left = np.where(begins, lasts, before)
+        self._left[arms] = np.maximum(left - np.float32(1.0), np.float32(0.0))
         return np.asarray((before if begins_after else left) > 0.0)
 
 

@@ -160,8 +160,8 @@ class Senses:
                 happens = spells.now(
                     chances, probability, duration, begins_after=later, arms=indices
                 )
-                instead = 0.0 if name == "number_dropped" else before
-                observation = np.where(happens, instead, observation).astype(np.float32)
+                instead = np.float32(0.0) if name == "number_dropped" else before
+                observation = np.where(happens, instead, observation)
             self._before[indices] = observation
         if "delay" not in self._touched:
             return observation

@@ -196,7 +196,7 @@ def test_observations_are_repeated_before_they_are_late():
         shown.append([first, *(env.step(action)[0] for action in ACTIONS)])
     on_time, late = shown
     repeats = [np.array_equal(*pair) for pair in pairwise(on_time)]
-    assert 0.3 < np.mean(repeats) < 0.7
+    assert 0.2 < np.mean(repeats) < 0.5  # never twice in a row: a third
     np.testing.assert_array_equal(late[2:], on_time[:-2])
 
 
