@@ -211,8 +211,8 @@ class Change:
     """A family of perturbations at a strength, from a time on.
 
     Each number may be a distribution, from which every episode draws.  From no change at `at` it
-    grows linearly to its strength for `over` s.  Drawn targets stay in reach.  People correct for a
-    change within the movement (Crevecoeur, Thonnard & Lefèvre 2020, eNeuro 7).
+    grows linearly to its strength for `over` s, and ends at `until`.  Drawn targets stay in reach.
+    People correct for a change within the movement (Crevecoeur, Thonnard & Lefèvre 2020, eNeuro 7).
     """
 
     family: Family

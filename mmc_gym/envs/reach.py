@@ -98,13 +98,14 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     the last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
     `reward_precision`, `reward_control` and, if it has a weight, `reward_smoothness`.  All are
     true, even if the senses are disturbed.  Under a visuomotor rotation a `cursor` stands for the
-    hand; distance, success and reward are the cursor's.
+    hand; distance, success and reward are the cursor's.  If motors fail, `action_sent` is what
+    arrived at the servos.
 
     ## Tasks and Perturbations
     `task` says where the target is and how it moves; every task has an id, such as
-    `MMCReachPursuit-v0`.  `perturbations` names what goes wrong with body, cursor or senses, with
-    any strength: `["delay-160", "longer-35-known"]`.  `mmc_gym.make("pursuit+delay-160")` makes
-    both by one name.  See `mmc_gym.envs.names`.
+    `MMCReachPursuit-v0`.  `perturbations` names what goes wrong with motors, body, cursor or
+    senses, with any strength: `["delay-160", "longer-35-known"]`.
+    `mmc_gym.make("pursuit+delay-160")` makes both by one name.  See `mmc_gym.envs.names`.
     `env.unwrapped.parameters` is the arm that agents are given.
 
     ## Arguments
@@ -124,7 +125,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     appends it to the observation, scaled to ±1, for agents that are trained with it;
     `observe_context="rotation--60..60"` does so on that scale, whatever the perturbations are.
     `env.unwrapped.set_perturbations(…)` sets what later episodes draw from, while the scale stays:
-    what lies beyond is beyond ±1.
+    what lies beyond is beyond ±1.  From a `Walk` an arm's next episode draws what follows from its
+    last one.
 
     A pickled or deep-copied environment continues from its state, bit for bit as the original
     does; it has no window.  Long after the last reset it cannot be copied, see
