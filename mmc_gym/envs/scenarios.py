@@ -51,10 +51,13 @@ class Scenario:
     def name(self) -> str:
         """The name for task and perturbations together, with strengths."""
         name = "+".join(named.name for named in self._named)
-        for challenge, names in CHALLENGES.items():
-            if name.endswith(names):
-                name = name.removesuffix(names) + challenge
-        return name
+        return name.removesuffix(CHALLENGES.get(self.challenge, "")) + self.challenge
+
+    @property
+    def challenge(self) -> str:
+        """The name of the challenge that its last perturbations are; empty if they are none."""
+        name = "+".join(change.name for change in self.changes)
+        return next((key for key, names in CHALLENGES.items() if name.endswith(names)), "")
 
     @property
     def description(self) -> str:
@@ -69,9 +72,12 @@ class Scenario:
 
     @property
     def family(self) -> str:
-        """The name up to the last strength: "centre-out+delay"; empty without perturbations."""
-        if not self.changes:
-            return ""
+        """The name up to the last strength: "centre-out+delay"; empty without perturbations.
+
+        A challenge is a family by itself, without a strength.
+        """
+        if not self.changes or self.challenge:
+            return self.name if self.challenge else ""
         *before, last = self._named
         assert isinstance(last, Change)
         return "+".join((*(part.name for part in before), last.family.name))
@@ -79,12 +85,12 @@ class Scenario:
     @property
     def strength(self) -> float | None:
         """The strength of the last perturbation, comparable within the family; None without one."""
-        return self.changes[-1].number if self.changes else None
+        return self.changes[-1].number if self.changes and not self.challenge else None
 
     @property
     def unit(self) -> str:
         """The unit of the strength; empty without one."""
-        return self.changes[-1].unit if self.changes else ""
+        return self.changes[-1].unit if self.changes and not self.challenge else ""
 
     @property
     def settings(self) -> dict[str, Any]:

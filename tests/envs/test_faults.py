@@ -277,7 +277,8 @@ def test_the_page_lists_every_family_in_its_group():
 @pytest.mark.parametrize("level", ["easy", "medium", "hard"])
 def test_challenges_are_played_by_name(level):
     scenario = parse_scenario(f"pursuit+realworld-{level}")
-    assert scenario.name == f"pursuit+realworld-{level}"
+    assert scenario.name == scenario.family == f"pursuit+realworld-{level}"
+    assert (scenario.strength, scenario.unit) == (None, "")
     env = scenario.make()
     observation, _ = env.reset(seed=0)
     for action in ACTIONS:
