@@ -50,7 +50,7 @@ class ReachArguments(ArmParameters):
     success_distance: float = 0.05  #: largest distance to a reached target, segment lengths
     terminate_on_success: bool = False  #: whether an episode ends where the target is reached
     task: str | Task = "random"  #: where the target is and how it moves
-    perturbations: AnyChange | Sequence[AnyChange] = ()  #: of body, cursor or senses: `"delay-160"`
+    perturbations: AnyChange | Sequence[AnyChange] = ()  #: such as `"delay-160"`
     #: whether what is drawn is shown, on the scale of its ranges; or perturbations with such ranges
     observe_context: bool | AnyChange | Sequence[AnyChange] = False
     engine: Engine = "pymunk"  #: what simulates the arm

@@ -160,6 +160,7 @@ class Arms:
         """Control steps after which joints lock, and are free again, (2, n); -1: never."""
         times = np.stack([self.lock_time, self.unlock_time])
         steps = np.rint(np.where(np.isnan(times), -1.0, times / self.base.control_step))
+        steps[:, steps[0] == steps[1]] = -1.0  # free again before it locks
         return steps.astype(np.intp)
 
     def turn_cursor(self, matrix: Matrix, centre: Sequence[float] | None = None) -> None:
@@ -181,9 +182,10 @@ class Arms:
             return np.ones((len(self), count), dtype=bool)
         numbers, ahead = np.broadcast_to(number, len(self)), np.arange(1, count + 1)
         accepted = f"from 1 to {count} (from the base), or from -{count} to -1 (from the hand)"
-        for joint in np.unique(numbers).tolist():
-            is_joint = joint in ahead or -joint in ahead
-            require(is_joint, "the number of the joint or segment", int(joint), accepted)
+        for number in np.unique(numbers).tolist():
+            is_whole = float(number).is_integer()
+            name, value = "the number of the joint or segment", int(number) if is_whole else number
+            require(number in ahead or -number in ahead, name, value, f"a whole number {accepted}")
         return np.equal(np.where(numbers < 0, numbers + count + 1, numbers)[:, None], ahead)
 
     def lock(self, joints: Bools, time: Any, until: Any) -> None:
@@ -197,8 +199,9 @@ class Arms:
             is_equal = (column == times) | ((column != column) & (times != times))
             is_other = is_locked & ~is_equal
             if is_other.any():
-                pair = sorted({*column[is_other].tolist(), *times[is_other].tolist()})
-                raise UserError(f"locked joints must {word} at one time, got the times {pair}")
+                pair = {*column[is_other].tolist(), *times[is_other].tolist()}
+                texts = sorted("never" if each != each else f"{each:g} s" for each in pair)
+                raise UserError(f"locked joints must {word} at one time, got {' and '.join(texts)}")
             column[:] = times
         self.lockable |= joints
 

@@ -119,10 +119,11 @@ class Spells:
     ) -> Bools:
         """Return to which numbers of k arms it happens in this step, (k, m).
 
-        `chances`, (k, m), are uniform; it begins with a `probability`, (k,), and lasts `steps`.  If
-        it `begins_after` this step, a spell never follows another at once.
+        `chances`, (k, m), are uniform; it begins with a `probability`, (k,), and lasts `steps`, but
+        ends where it has none any more.  If it `begins_after` this step, a spell never follows
+        another at once.
         """
-        before = self._left[arms]
+        before = np.where(probability[:, None] > 0.0, self._left[arms], np.float32(0.0))
         begins = (before == 0.0) & (chances < probability[:, None].astype(np.float32))
         lasts = (steps[:, None] + begins_after).astype(np.float32)
         left = np.where(begins, lasts, before)

@@ -71,7 +71,8 @@ class Walk:
 
     def __post_init__(self) -> None:
         require_choice("kind", self.kind, ("walk", "drift", "cycle"))
-        require_number("step", self.step, "a finite number")
+        for name in ("low", "high", "step"):
+            require_number(name, getattr(self, name), "a finite number")
         require(self.low < self.high, "high", self.high, f"higher than {self.low:g}")
 
     def support(self) -> tuple[float, float]:
@@ -178,7 +179,7 @@ class Family:
     @property
     def takes_times(self) -> bool:
         """Whether its function takes the times, and sees to them, as those of locks do."""
-        return "until" in inspect.signature(self.apply).parameters
+        return {"at", "until"} <= inspect.signature(self.apply).parameters.keys()
 
     def __repr__(self) -> str:
         return f"<Family {self.name}>"
@@ -240,12 +241,18 @@ class Change:
         if not isinstance(self.strength, Distribution):
             object.__setattr__(self, "strength", float(self.strength))
         for time, seconds in (("at", self.at), ("over", self.over), ("until", self.until)):
-            for end in () if seconds == math.inf else ends_of(seconds):
+            never_ends = time == "until" and seconds == math.inf
+            for end in () if never_ends else ends_of(seconds):
                 require_between(0, LONGEST, **{time: end})
+        settings = [pair for pair in self.settings if pair != ("of", None)]
+        object.__setattr__(self, "settings", tuple(settings))
+        for setting, number in settings:
+            for end in ends_of(number) if setting in ("of", "steps") else ():
+                require_number(f"{setting} of {name}", end, "a finite number")
         begins, (ends, _) = ends_of(self.at)[1] + ends_of(self.over)[1], ends_of(self.until)
         require(ends > begins, "until", ends, f"later than it has begun and grown, at {begins:g} s")
-        accepted = "a perturbation that can begin within an episode (cursors, senses, loads, "
-        accepted += "force fields)"
+        accepted = "a perturbation that can begin within an episode (cursors, motors, senses, "
+        accepted += "locks, loads, force fields)"
         words = "what has -at-, -over- or -until-"
         require(not self.is_timed or family.begins, words, name, accepted)
         can_grow = family.neutral is not None
@@ -335,7 +342,10 @@ class Change:
         text = self.family.description.format(digits(self.strength))
         parts = [text.removesuffix(" from the start") if self.at else text]
         if self.of is not None:
-            parts.append(f"{self.family.of or 'joint'} {digits(self.of)} from the base")
+            parts[0] = parts[0].replace("last segment", "a segment")
+            is_from_hand = not isinstance(self.of, Distribution) and self.of < 0
+            end, number = ("hand", -self.of) if is_from_hand else ("base", self.of)
+            parts.append(f"{self.family.of or 'joint'} {digits(number)} from the {end}")
         if "steps" in dict(self.settings):
             parts.append(f"for {digits(dict(self.settings)['steps'])} control steps")
         if self.family.known:

@@ -242,9 +242,15 @@ class Episodes:
         return numbers if context is None else np.where(np.isnan(context), numbers, context)
 
     def is_like(self, other: Episodes) -> bool:
-        """Return whether both draw the same numbers, if from other distributions."""
+        """Return whether both draw the same numbers, if from other distributions.
+
+        Numbers that are not drawn must be equal.
+        """
         kinds = [
-            [(part.change.family, part.change.known, part.option) for part in each.in_order]
+            [
+                (part.change.family, part.change.known, part.option, _fixed(part.change.numbers))
+                for part in each.in_order
+            ]
             for each in (self, other)
         ]
         names = [[strength.name for strength in each.strengths] for each in (self, other)]
@@ -419,9 +425,16 @@ def _with_numbers(change: Change, numbers: Sequence[float]) -> Change:
     return replace(change, strength=strength, at=at, over=over, until=until, settings=settings)
 
 
+def _fixed(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers that are not drawn."""
+    return {name: value for name, value in numbers.items() if not isinstance(value, Distribution)}
+
+
 def _strength_in(drawn: Change, change: Change) -> Any:
     """Return the strength of `change` as one of the family of `drawn`; None if it is of another."""
-    if change.settings != drawn.settings:
+    settings, drawn_settings = dict(change.settings), dict(drawn.settings)
+    is_other = settings.keys() != drawn_settings.keys()
+    if is_other or not _fixed(drawn_settings).items() <= settings.items():
         return None
     if change.family is drawn.family:
         return change.strength

@@ -60,12 +60,12 @@ class Motors:
         `actions` are (n, N), `arms` have the present columns, and `steps`, (n,), are those before.
         """
         touched, values = self._touched, np.asarray(actions, np.float64)
-        rest = self.sent if self._holds else np.zeros_like(self.sent)
         for name, spells in self._spells.items():
             probability, duration = getattr(arms, name), getattr(arms, f"{name}_steps")
             chances, later = noise.uniform(name, steps), name == "action_repeated"
             happens = spells.now(chances, probability, duration, begins_after=later)
-            values = np.where(happens, rest if name == "action_dropped" else self._before, values)
+            stays = self._holds or name != "action_dropped"
+            values = np.where(happens, self._before if stays else 0.0, values)
         self._before = values
         if "action_delay" in touched:
             self._late.send(values)
@@ -79,7 +79,8 @@ class Motors:
             std = combined(std, increase * np.abs(values))
             values = values + std * noise.normal("action_noise", steps)
         if "dead_zone" in touched:
-            values = np.where(np.abs(values) < arms.dead_zone[:, None], rest, values)
+            is_small = np.abs(values) < arms.dead_zone[:, None]
+            values = np.where(is_small, self.sent if self._holds else 0.0, values)
         if "backlash" in touched:
             play = arms.backlash[:, None] / 2
             values = np.minimum(np.maximum(self.sent, values - play), values + play)

@@ -11,7 +11,7 @@ One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, report
 Any strength is accepted; a name without one has the family's default (`force-field` is
 `force-field-60`).  From a range (`rotation--60..60`) each episode draws its strength.  With `-at-1`
 it begins 1 s after the start; with `-over-2` it grows for 2 s from no change to its strength; with
-`-until-1.5` it ends.  With `-of-2` it is that of the second joint, motor or segment;
+`-until-1.5` it ends.  `-of-2` says which joint, motor or segment it is, from the base on;
 with `-for-5` what happens by chance lasts five control steps.  With
 `-known`, agents are given the changed body.  Without a task, the task is "random".  The
 same seeds then draw the same starts and targets as in `random`: episodes differ in the
@@ -93,7 +93,7 @@ observed.
 
 _CHANGE = re.compile(
     r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?)(?:\.\.(?P<high>-?\d+(?:\.\d+)?))?)?"
-    r"(?:-of-(?P<of>\d+))?(?:-for-(?P<steps>\d+))?"
+    r"(?:-of-(?P<of>-?\d+))?(?:-for-(?P<steps>\d+))?"
     r"(?:-at-(?P<at>\d+(?:\.\d+)?))?(?:-over-(?P<over>\d+(?:\.\d+)?))?(?:-until-(?P<until>\d+(?:\.\d+)?))?"
     r"(?P<known>-known)?"
 )
@@ -255,6 +255,8 @@ def _unknown(name: object, argument: str) -> UserError:
     text = name if isinstance(name, str) else ""
     if text in TASKS:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
+    if text in CHALLENGES:
+        return UserError(f"{text!r} is several perturbations, and none of a mixture")
     known, also = [*FAMILIES, *CHALLENGES], "a Change"
     if argument == "scenario":
         known, also = [*TASKS, *FAMILIES, *CHALLENGES], "several (centre-out+rotation-30)"
@@ -392,7 +394,7 @@ def perturbation(
         their strengths, (n,).  It returns the `Family`, which makes a perturbation of a strength.
     """
     is_free = isinstance(name, str) and name not in {*TASKS, *_SHIPPED}
-    pattern = "[a-z]+(-[a-z]+)*(?<!-at)(?<!-over)"
+    pattern = "[a-z]+(-[a-z]+)*(?<!-of)(?<!-for)(?<!-at)(?<!-over)(?<!-until)"
     is_name = is_free and re.fullmatch(pattern, name) is not None
     require(is_name, "name", name, "words of a-z with hyphens, that no task or other family has")
     words = description or f"{name.replace('-', ' ')} {{}} {unit}".strip()

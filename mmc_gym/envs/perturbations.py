@@ -1,4 +1,4 @@
-"""Perturbations of the body, of the cursor that stands for the hand, or of the senses.
+"""Perturbations of motors, body, senses, or of the cursor that stands for the hand.
 
 A family of perturbations is one function of `(arms, strength)`, which overwrites columns of
 `mmc_gym.envs.arms.Arms`; `strength` is an array (n,).  Everything else follows from that: strengths
@@ -509,7 +509,7 @@ def sensor_offset(arms: Arms, radians: Floats, of: Any = None) -> None:
     **_FINITE,
 )
 def sensor_drift(arms: Arms, speed: Floats, of: Any = None) -> None:
-    """Joints are felt at an angle from where they are that grows from the start on."""
+    """Joints are felt at an angle from where they are that grows with time."""
     arms.joint_drift += np.where(arms.which(of), speed[:, None], 0.0)
 
 

@@ -171,7 +171,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         checked = setup.check_options(options)
         if checked.context is not None:
             random = self.np_random if seed is None else seeding.np_random(seed)[0]
-            setup.episodes_beyond(checked.context, [random])
+            setup.episodes_beyond(checked.context, [random], self._before if seed is None else None)
         super().reset(seed=seed)
         if setup.episodes.is_drawn:
             before = self._before if seed is None else None
@@ -285,9 +285,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._shown, self._context = setup.context_of(episode.numbers[None])[0], self.context
         self._has_context = setup.episodes.is_drawn or len(self._shown) > 0
         touched, joints = setup.touched, setup.joint_count
-        self._has_events = setup.trials.path_length > 1 or episode.lock_step > 0 or setup.is_timed
-        self._has_events = self._has_events or setup.are_senses_disturbed
-        self._has_events = self._has_events or setup.are_motors_disturbed
+        locks = max(episode.lock_step, episode.unlock_step) > 0
+        self._has_events = setup.trials.path_length > 1 or locks or setup.is_timed
+        self._has_events |= setup.are_senses_disturbed or setup.are_motors_disturbed
         size = setup.layout.size
         self._noise = Noise(1, joints, size, touched)
         holds = setup.control == "joint_position"

@@ -63,7 +63,7 @@ class Senses:
         self.change_state = bool(touched & (FELT | SIGHT))  #: whether `sense` changes anything
         self._touched, self._step = touched, control_step
         self._sights = Late(np.zeros((count, 2, 2)), delays["vision_delay"])  # hands and targets
-        self._felt = np.zeros((count, joints))  # joint angles before
+        self._felt, self._drifted = np.zeros((2, count, joints))  # joint angles before, and drift
         self._hand_sight = HandSight(count, control_step)
         sizes = zip(SPELLS, (size, size, 1), strict=True)
         self._spells = {name: Spells(count, size) for name, size in sizes if name in touched}
@@ -120,7 +120,9 @@ class Senses:
         if "joint_offset" in touched:
             angles = angles + arms.joint_offset[indices]
         if "joint_drift" in touched:
-            angles = angles + arms.joint_drift[indices] * (steps * self._step)[:, None]
+            drifted = self._drifted[indices] + arms.joint_drift[indices] * self._step
+            self._drifted[indices] = drifted = np.where((steps == 0)[:, None], 0.0, drifted)
+            angles = angles + drifted
         if touched & JOINT_NOISE:
             std, increase = arms.joint_noise[indices], arms.joint_noise_speed[indices]
             std = combined(std[:, None], increase[:, None] * np.abs(speeds))

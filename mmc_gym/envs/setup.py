@@ -193,11 +193,12 @@ class ReachSetup:
         return episode
 
     def episodes_beyond(
-        self, context: Floats, randoms: Sequence[np.random.Generator]
+        self, context: Floats, randoms: Sequence[np.random.Generator], before: Floats | None
     ) -> dict[int, Episode]:
         """Return the episodes, by row of the context, that are beyond what may be drawn.
 
-        The generators stay as they are.  If there are several, an error names the row as the arm.
+        `before` are the numbers of the episodes before, as `Episodes.numbers` takes them.  The
+        generators stay as they are.  If there are several, an error names the row as the arm.
         """
         if not self.episodes.is_drawn:
             return {}
@@ -206,7 +207,8 @@ class ReachSetup:
         is_beyond = (context < low) | (context > high)
         is_beyond |= (context > np.floor(context)) & (whole > 0)
         for row in np.flatnonzero(is_beyond.any(axis=1)).tolist():
-            numbers = self.episodes.drawn([deepcopy(randoms[row])], context[[row]])[0]
+            last = None if before is None else before[[row]]
+            numbers = self.episodes.drawn([deepcopy(randoms[row])], context[[row]], last)[0]
             try:
                 for each, number in zip(strengths, context[row].tolist(), strict=True):
                     accepted = f"a whole number from {each.low:g} to {each.high:g}"

@@ -106,7 +106,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.action_space = batch_space(setup.action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
         servo, bodies, threads = setup.action.servo, setup.limits.bodies, arguments.threads
-        others = bodies if len(bodies) > 1 else ()
+        others = bodies if len(bodies) > 1 or setup.is_loaded else ()
         self._may_lock = joints_that_lock(bodies)
         self._body = make_arms(setup.engine, setup.first.body, num_envs, servo, threads, others)
         first = setup.first.numbers[None]
@@ -182,11 +182,12 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             old if seed is None else seeding.np_random(seed)
             for *old, seed in zip(self._randoms, self._seeds, seeds, strict=True)
         ]
+        before = self._before.copy()
+        before[[seed is not None for seed in seeds]] = np.nan
         if checked.context is not None:
             checked.context[~mask] = np.nan
-            beyond = self.setup.episodes_beyond(
-                checked.context, [random for random, _ in generators]
-            )
+            randoms = [random for random, _ in generators]
+            beyond = self.setup.episodes_beyond(checked.context, randoms, before)
             names = [strength.name for strength in self.setup.episodes.strengths]
             accepted = "such that this vector's arms can have it: make one with wider ranges"
             for arm, episode in beyond.items():
@@ -195,7 +196,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 require(can_become, name, dict(zip(names, episode.numbers)), accepted)
                 self._make_room(episode.delays)
         self._randoms, self._seeds = map(list, zip(*generators, strict=True))
-        self._before[[seed is not None for seed in seeds]] = np.nan
+        self._before = before
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
         _, info = self._look_at(arms)

@@ -5,13 +5,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import randint
 
 import mmc_gym
 from mmc_gym._errors import UserError
+from mmc_gym.envs.changes import Range, Walk
 from mmc_gym.envs.names import as_change, as_plain, parse_change
-from mmc_gym.envs.perturbations import FAMILIES, GROUPS, dropped_actions, held_numbers
+from mmc_gym.envs.perturbations import (
+    FAMILIES,
+    GROUPS,
+    OneOf,
+    SegmentLength,
+    dropped_actions,
+    held_numbers,
+)
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_scenario
+from mmc_gym.envs.vector import MMCReachVectorEnv
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "tasks.md"
 
@@ -228,7 +238,7 @@ def test_a_number_says_which_segment_or_motor():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("motor-gain-0.4-of-4", "must be from 1 to 3 .*, or from -3 to -1 .*, got 4"),
+        ("motor-gain-0.4-of-4", "must be a whole number from 1 to 3 .*, or from -3 to -1 .*, got 4"),
         ("rotation-30-of-2", "unexpected keyword argument 'of'"),
         ("motor-offset-0.2-at-1-until-0.5", "until must be later than .* at 1 s, got 0.5"),
         ("servo-gain-0.5-until-1", "must be a perturbation that can begin within an episode"),
@@ -284,3 +294,92 @@ def test_challenges_are_played_by_name(level):
     for action in ACTIONS:
         assert env.observation_space.contains(observation)
         observation, *_ = env.step(action)
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize("name", ["locked-2-until-0.1", "locked-2-until-0.005"])
+def test_a_lock_from_the_start_opens_in_vectors_too(name, engine):
+    single, vector = mmc_gym.make(name, engine=engine), mmc_gym.make_vec(name, 2, engine=engine)
+    single.reset(seed=0)
+    vector.reset(seed=[0, 0])
+    for _ in range(15):
+        observation, *_ = single.step(np.full(3, 0.5, np.float32))
+        observations, *_ = vector.step(np.full((2, 3), 0.5, np.float32))
+        np.testing.assert_array_equal(observations, [observation, observation])
+    assert abs(single.unwrapped.arm.joint_velocities[1]) > 1
+
+
+def test_what_happens_by_chance_ends_with_its_perturbation():
+    sent = sent_by("held-actions-1-for-30-at-0.1-until-0.3")
+    is_held = (sent != ACTIONS).any(axis=1)
+    assert np.flatnonzero(is_held).tolist() == [*range(5, 15)]
+
+
+def test_a_dropped_action_rests_where_the_last_command_sent_the_motor():
+    names = ["dropped-actions-0.3", "motor-gain-0.4", "motor-offset-0.1"]
+    env = MMCReachEnv(perturbations=names, control="joint_position")
+    env.reset(seed=1, options={"joint_angles": [0, 0, 0]})
+    sent = {env.step(np.full(3, 0.5, np.float32))[-1]["action_sent"][0] for _ in range(20)}
+    assert {round(float(action), 9) for action in sent} <= {0.1, 0.3}
+
+
+def test_a_drift_begins_where_its_time_is():
+    env = MMCReachEnv(perturbations="sensor-drift-0.2-at-0.2")
+    observation, _ = env.reset(seed=1)
+    off = []
+    for _ in range(20):
+        observation, *_ = env.step(np.zeros(3, np.float32))
+        felt = np.arctan2(observation[3:6], observation[:3])
+        off.append(wrapped(felt - env.arm.joint_angles)[0])
+    np.testing.assert_allclose(off[:9], 0, atol=1e-6)
+    np.testing.assert_allclose(np.diff(off[8:]), 0.2 * 0.02, atol=1e-6)
+
+
+def test_vectors_refuse_other_times_and_numbers_within_an_episode():
+    vector = mmc_gym.make_vec("motor-gain-0.2..0.8-at-1", 2)
+    for other in ("motor-gain-0.2..0.8-at-0.4", "motor-gain-0.2..0.8-of-2-at-1"):
+        with pytest.raises(UserError, match="the same perturbations with other distributions"):
+            vector.unwrapped.set_perturbations(other)
+    vector.unwrapped.set_perturbations("motor-gain-0.1..0.3-at-1")
+
+
+def test_an_observed_context_says_which_motor_was_drawn():
+    scale = FAMILIES["motor-gain"](Range(0.2, 0.8), of=randint(1, 4))
+    env = MMCReachEnv(perturbations="motor-gain-0.2-of-3", observe_context=scale)
+    observation, _ = env.reset(seed=0)
+    assert observation[15:].tolist() == [-1, 1]
+
+
+def test_a_walk_goes_on_from_what_a_context_beyond_its_range_needs():
+    changes = [FAMILIES["delay"](Range(0, 100)), FAMILIES["delay"](Walk(0, 200, 100))]
+    single = MMCReachEnv(perturbations=changes)
+    vector = MMCReachVectorEnv(1, perturbations=changes, max_episode_steps=None)
+    for env in (single, vector):
+        env.reset(seed=1)
+        env.reset(options={"context": {"delay": 1020}})
+    for action in np.vstack([ACTIONS, ACTIONS]):
+        np.testing.assert_array_equal(vector.step(action[None])[0][0], single.step(action)[0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: FAMILIES["motor-gain"](0.5, of="2"), "of of motor-gain must be a finite number"),
+        (lambda: FAMILIES["motor-gain"](0.5, of=1.5), "must be a whole number from 1 to 3"),
+        (lambda: dropped_actions(0.5, steps="x"), "steps of dropped-actions must be a finite"),
+        (lambda: Walk(-60, None, 5), "high must be a finite number, got None"),
+        (lambda: FAMILIES["rotation"](30, at=np.inf), "at must be from 0 to 1000"),
+        (lambda: OneOf("realworld-easy", None), "'realworld-easy' is several perturbations"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused_by_name(make, message):
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(perturbations=make())
+
+
+def test_segments_may_be_counted_from_the_hand():
+    change = SegmentLength(1.2, -2)
+    assert parse_change(change.name) == change
+    assert change.description.startswith("a segment 20 % longer, segment 2 from the hand")
+    assert FAMILIES["motor-gain"](0.5, of=None) == FAMILIES["motor-gain"](0.5)
+    mmc_gym.make_vec("hand-mass-0-until-1", 2).reset(seed=0)

@@ -71,7 +71,7 @@ def test_an_environment_that_cannot_be_is_refused(call, message):
         (lambda: reach(Obstacles(((0.0, 0.0, 1.0),))), "obstacles must leave room for the arm"),
         (lambda: reach(VisuomotorRotation(180, centre=(20, 0))), "must leave targets in reach"),
         (lambda: reach("longer-500"), "must leave targets in reach"),
-        (lambda: reach(SegmentLength(segment=3)), "segment must be from 1 to 3"),
+        (lambda: reach(SegmentLength(segment=3)), "segment must be a whole number from 1 to 3"),
         (lambda: reach(LockedJoint(0), LockedJoint(1, time=0.2)), "must lock at one time"),
         (lambda: SegmentLength(0.0), "strength of longer must be at least -99.9999, got -100"),
         (lambda: reach(LockedJoint(1, time=-0.1)), "at must be from 0 to 1000"),
@@ -85,7 +85,7 @@ def test_an_environment_that_cannot_be_is_refused(call, message):
         # Of what is drawn.
         (lambda: reach("longer--150..20"), "longer must be at least -99.9999, got -150"),
         (lambda: reach("rotation-60..-60"), "from a low to a strength that is not lower"),
-        (lambda: reach("locked-1..5"), "joint or segment must be from 1 to 3"),
+        (lambda: reach("locked-1..5"), "joint or segment must be a whole number from 1 to 3"),
         (lambda: reach("longer-0..30-known"), "agents are given their arm once"),
         (lambda: SegmentLength(uniform(-0.2, 1)), "strength of longer must be at least -99.9999"),
         (
