@@ -202,7 +202,7 @@ def benchmark(
             if not given, all that ship but ppo-drawn and ppo-context.
         scenarios: Names, such as centre-out+delay-150, or your own by id,
             module:Id or module:function; all that ship, if not given.
-        episodes: Episodes in each scenario; numbered trials are played once each.
+        episodes: In each scenario; numbered trials once each.
         seed: Seed of the starts and targets.
         out: Folder of the store; an existing benchmark is resumed, or added to.
         jobs: Number of cells at once; one per core, if not given.
@@ -210,8 +210,7 @@ def benchmark(
         interface: Of your own environments, see compare.
         protocol: Scenarios inside, between and beyond the ranges that the
             first agent trained on some was trained on, and combined.
-        suite: Scenarios besides: standard (all that ship), faults (motors and
-            senses that fail) or realworld (the Real-World RL suite's challenges).
+        suite: standard, faults or realworld: scenarios played besides.
     """
     from mmc_gym.agents import AGENTS, REFERENCE, resolve_all
     from mmc_gym.benchmark import generalisation, ranking, runner

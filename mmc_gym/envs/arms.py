@@ -102,6 +102,7 @@ class Arms:
         columns |= {name: np.full(1, np.nan) for name in _NEVER}
         columns |= {name: np.zeros((1, count)) for name in _OF_JOINTS}
         columns["motor_gain"] = np.ones((1, count))
+        columns |= {name: np.ones(1) for name in _COLUMNS if name.endswith("_steps")}
         columns |= {name: np.zeros((1, count), dtype=bool) for name in _STUCK}
         columns["segment_lengths"] = np.array([base.segment_lengths])
         columns["given_lengths"] = np.array([base.segment_lengths])
@@ -140,6 +141,17 @@ class Arms:
             is_column = isinstance(column, np.ndarray) and column.shape == before.shape
             require(is_column, f"column {name}", column, f"an array of shape {before.shape}")
         return {name for name in _COLUMNS if _differ(self, other, name)}
+
+    def check(self, names: set[str]) -> None:
+        """Raise a `UserError` if a column of these names has a number that cannot be."""
+        for name in sorted(names - {"obstacles"}):
+            numbers = np.asarray(getattr(self, name), np.float64).ravel()
+            may_be_endless = name in (*_NEVER, "joint_limits")
+            is_finite = may_be_endless or bool(np.isfinite(numbers).all())
+            require(is_finite, f"column {name}", numbers, "finite")
+            low, high = _BOUNDS.get(name, (-math.inf, math.inf))
+            is_within = may_be_endless or bool(((low <= numbers) & (numbers <= high)).all())
+            require(is_within, f"column {name}", numbers, f"from {low:g} to {high:g}")
 
     @property
     def ring(self) -> tuple[Floats, Floats]:
@@ -237,6 +249,21 @@ _OF_BODY = frozenset(
 )
 BODY = _OF_BODY | {"lockable"}
 """The columns that the engine simulates."""
+_CHANCES = frozenset(
+    (
+        *("action_dropped", "action_held", "action_repeated"),
+        *("number_dropped", "number_held", "observation_repeated"),
+    )
+)
+_SIZES = frozenset(
+    (
+        *("action_noise", "action_noise_size", "dead_zone", "backlash", "encoder", *DELAYS),
+        *("joint_noise", "joint_noise_speed", "vision_noise", "vision_noise_distance"),
+        "observation_noise",
+    )
+)
+_BOUNDS = dict.fromkeys(_SIZES, (0.0, math.inf)) | dict.fromkeys(_CHANCES, (0.0, 1.0))
+_BOUNDS |= {f"{name}_steps": (1.0, math.inf) for name in _CHANCES}
 _AT_START = BODY - {"hand_mass", "force_field"} | {"channel", "start", "given_lengths"}
 _AT_START |= {"lock_time", "unlock_time"}
 IN_FLIGHT = frozenset(_COLUMNS) - _AT_START

@@ -170,6 +170,9 @@ class Family:
         The strength may be named as the family's function names it.
         """
         _, strength_name, *others = inspect.signature(self.apply).parameters
+        for word, ending in (("of", "-of-"), ("steps", "-for-")):
+            can_have = word in others or word not in settings
+            require(can_have, f"{self.name}{ending}", settings.get(word), f"without {ending}")
         names = (strength_name, "strength", *others, "at", "over", "until", "known")
         require_known(self.name, settings, names)
         strength = settings.pop(strength_name, strength)
@@ -240,6 +243,10 @@ class Change:
             family._require(f"the strength of {name}", strength)
         if not isinstance(self.strength, Distribution):
             object.__setattr__(self, "strength", float(self.strength))
+        elif family.whole:
+            strengths = np.asarray(self.strength.ppf(np.linspace(0.01, 0.99, 50)))
+            accepted = "a distribution of whole numbers, such as scipy.stats.randint(1, 4)"
+            require(not (strengths % 1).any(), f"the strength of {name}", self.strength, accepted)
         for time, seconds in (("at", self.at), ("over", self.over), ("until", self.until)):
             never_ends = time == "until" and seconds == math.inf
             for end in () if never_ends else ends_of(seconds):

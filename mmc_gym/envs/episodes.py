@@ -183,7 +183,9 @@ class Episodes:
             arms = self._plain.rows([0])
             try:
                 _call(family, arms, np.array([float(strength)]), settings)
-                touched |= arms.changed(self._plain)
+                changed = arms.changed(self._plain)
+                arms.check(changed)
+                touched |= changed
                 rows.append((float(strength), arms))
             except UserError as error:
                 errors.append(error)

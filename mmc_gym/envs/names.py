@@ -257,6 +257,11 @@ def _unknown(name: object, argument: str) -> UserError:
         return UserError(f"{text!r} is a task, which comes first: '{text}+rotation-30'")
     if text in CHALLENGES:
         return UserError(f"{text!r} is several perturbations, and none of a mixture")
+    endings = "-<strength> -of-<joint> -for-<steps> -at-<s> -over-<s> -until-<s> -known"
+    if re.search("-(of|for|until)-", text) and text.startswith(
+        tuple(f"{key}-" for key in FAMILIES)
+    ):
+        return UserError(f"{argument} {text!r} must have its endings in this order: {endings}")
     known, also = [*FAMILIES, *CHALLENGES], "a Change"
     if argument == "scenario":
         known, also = [*TASKS, *FAMILIES, *CHALLENGES], "several (centre-out+rotation-30)"

@@ -337,7 +337,7 @@ class GoalSetup(ReachSetup):
         if self.are_senses_disturbed or self.task.advance == "reach":
             raise UserError(
                 "a goal environment must have a reward that is a function of the observed goals: "
-                f"no noise, no delay and no via points, got task={self.task}, "
+                f"no disturbed senses and no via points, got task={self.task}, "
                 f"perturbations={[change.name for change in self.episodes.changes]}"
             )
         self.layout = replace(self.layout, is_clipped=False, has_goals=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import randint
+from scipy.stats import randint, uniform
 
 import mmc_gym
 from mmc_gym._errors import UserError
@@ -238,8 +238,13 @@ def test_a_number_says_which_segment_or_motor():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("motor-gain-0.4-of-4", "must be a whole number from 1 to 3 .*, or from -3 to -1 .*, got 4"),
-        ("rotation-30-of-2", "unexpected keyword argument 'of'"),
+        (
+            "motor-gain-0.4-of-4",
+            "must be a whole number from 1 to 3 .*, or from -3 to -1 .*, got 4",
+        ),
+        ("rotation-30-of-2", "rotation-of- must be without -of-, got 2"),
+        ("delay-100-for-5", "delay-for- must be without -for-, got 5"),
+        ("motor-gain-0.4-until-1-of-2", "must have its endings in this order"),
         ("motor-offset-0.2-at-1-until-0.5", "until must be later than .* at 1 s, got 0.5"),
         ("servo-gain-0.5-until-1", "must be a perturbation that can begin within an episode"),
         ("dropped-actions-1.2", "must be from 0 to 1"),
@@ -383,3 +388,37 @@ def test_segments_may_be_counted_from_the_hand():
     assert change.description.startswith("a segment 20 % longer, segment 2 from the hand")
     assert FAMILIES["motor-gain"](0.5, of=None) == FAMILIES["motor-gain"](0.5)
     mmc_gym.make_vec("hand-mass-0-until-1", 2).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("column", "number", "message"),
+    [
+        ("motor_gain", np.nan, "column motor_gain must be finite"),
+        ("action_dropped", 2.0, "column action_dropped must be from 0 to 1"),
+        ("joint_noise", -1.0, "column joint_noise must be from 0 to inf"),
+        ("number_held_steps", 0.5, "column number_held_steps must be from 1 to inf"),
+    ],
+)
+def test_columns_of_own_perturbations_are_checked(monkeypatch, column, number, message):
+    monkeypatch.setattr("mmc_gym.envs.names.FAMILIES", dict(FAMILIES))
+
+    @mmc_gym.perturbation("own-fault", default=1)
+    def own_fault(arms, _):
+        getattr(arms, column)[:] = number
+
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(perturbations=own_fault())
+
+
+def test_whole_strengths_are_drawn_whole():
+    with pytest.raises(UserError, match=r"strength of encoder must be a distribution of whole"):
+        FAMILIES["encoder"](uniform(32, 480))
+    _, info = MMCReachEnv(perturbations=FAMILIES["encoder"](randint(32, 480))).reset(seed=0)
+    assert info["context"]["encoder"] % 1 == 0
+
+
+def test_an_action_is_repeated_after_it_was_sent():
+    env = MMCReachEnv(perturbations="repeated-actions-1-for-2")
+    env.reset(seed=0)
+    sent = [env.step(np.full(3, 0.1 * k, np.float32))[-1]["action_sent"][0] for k in range(1, 7)]
+    assert sent == pytest.approx([0.1, 0.1, 0.1, 0.4, 0.4, 0.4])

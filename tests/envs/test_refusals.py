@@ -46,8 +46,8 @@ def assert_refused(call, message):
         (lambda: reach(n_segments=4), "unexpected keyword argument 'n_segments'"),
         (lambda: MMCReachGoalEnv(control_weight=0.1), "control_weight must be 0"),
         (lambda: MMCReachGoalEnv(smoothness_weight=0.1), "smoothness_weight must be 0"),
-        (lambda: MMCReachGoalEnv(perturbations="joint-noise"), "no noise, no delay and no via"),
-        (lambda: MMCReachGoalEnv(task="via-points"), "no noise, no delay and no via points"),
+        (lambda: MMCReachGoalEnv(perturbations="joint-noise"), "no disturbed senses and no via"),
+        (lambda: MMCReachGoalEnv(task="via-points"), "no disturbed senses and no via"),
         *(
             (lambda name=name: MMCReachVectorEnv(**{"num_envs": 2, name: 0}), name)
             for name in ("num_envs", "max_episode_steps", "autoreset_mode", "render_mode", "thread")
