@@ -131,7 +131,7 @@ def _pictures(
 
 def named(picture: Image.Image, name: str) -> Image.Image:
     """Return a picture with a name in place of its caption, large enough for a narrow screen."""
-    width, height, caption = picture.width, picture.width // 9, picture.width // 25
+    width, height, caption = picture.width, picture.width // 9, picture.width // 22
     disc = picture.crop((0, caption, width, picture.height))
     tall = -(-(height + disc.height) // 16) * 16  # as encoders of video like it
     panel = Image.new("RGB", (width, tall), picture.getpixel((0, width - 1)))
