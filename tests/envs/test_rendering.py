@@ -208,8 +208,8 @@ def test_every_perturbation_can_be_seen(names):
     for name in ((), *names):
         env = MMCReachEnv(render_mode="rgb_array", task="centre-out", perturbations=name)
         env.reset(seed=0, options={"trial": 0})
-        for _ in range(12):
-            env.step(np.full(3, 0.4, np.float32))
+        for step in range(12):  # actions grow: what repeats a constant action changes nothing
+            env.step(np.full(3, 0.04 * step, np.float32))
         pictures.append(env.render()[40:].astype(int))  # below the caption
     assert all(np.abs(image - pictures[0]).max() > 30 for image in pictures[1:])
 
