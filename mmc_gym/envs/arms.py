@@ -194,10 +194,10 @@ class Arms:
             return np.ones((len(self), count), dtype=bool)
         numbers, ahead = np.broadcast_to(number, len(self)), np.arange(1, count + 1)
         accepted = f"from 1 to {count} (from the base), or from -{count} to -1 (from the hand)"
-        for number in np.unique(numbers).tolist():
-            is_whole = float(number).is_integer()
-            name, value = "the number of the joint or segment", int(number) if is_whole else number
-            require(number in ahead or -number in ahead, name, value, f"a whole number {accepted}")
+        for joint in np.unique(numbers).tolist():
+            is_whole = float(joint).is_integer()
+            name, value = "the number of the joint or segment", int(joint) if is_whole else joint
+            require(joint in ahead or -joint in ahead, name, value, f"a whole number {accepted}")
         return np.equal(np.where(numbers < 0, numbers + count + 1, numbers)[:, None], ahead)
 
     def lock(self, joints: Bools, time: Any, until: Any) -> None:
@@ -249,19 +249,16 @@ _OF_BODY = frozenset(
 )
 BODY = _OF_BODY | {"lockable"}
 """The columns that the engine simulates."""
-_CHANCES = frozenset(
-    (
-        *("action_dropped", "action_held", "action_repeated"),
-        *("number_dropped", "number_held", "observation_repeated"),
-    )
-)
-_SIZES = frozenset(
-    (
-        *("action_noise", "action_noise_size", "dead_zone", "backlash", "encoder", *DELAYS),
-        *("joint_noise", "joint_noise_speed", "vision_noise", "vision_noise_distance"),
-        "observation_noise",
-    )
-)
+JOINT_NOISE = frozenset(("joint_noise", "joint_noise_speed"))
+VISION_NOISE = frozenset(("vision_noise", "vision_noise_distance"))
+ACTION_NOISE = frozenset(("action_noise", "action_noise_size"))
+"""The columns that say how noisy joints, sight and actions are."""
+MISSED = ("action_dropped", "action_held", "action_repeated")
+SPELLS = ("number_dropped", "number_held", "observation_repeated")
+"""The columns that say how often something happens to actions and observations."""
+NOISE = JOINT_NOISE | VISION_NOISE | ACTION_NOISE | {"observation_noise"}
+_SIZES = NOISE | {"dead_zone", "backlash", "encoder", *DELAYS}
+_CHANCES = (*MISSED, *SPELLS)
 _BOUNDS = dict.fromkeys(_SIZES, (0.0, math.inf)) | dict.fromkeys(_CHANCES, (0.0, 1.0))
 _BOUNDS |= {f"{name}_steps": (1.0, math.inf) for name in _CHANCES}
 _AT_START = BODY - {"hand_mass", "force_field"} | {"channel", "start", "given_lengths"}

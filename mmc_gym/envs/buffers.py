@@ -8,19 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.envs.arms import Arms, Bools, Floats
+from mmc_gym.envs.arms import (
+    ACTION_NOISE,
+    JOINT_NOISE,
+    MISSED,
+    NOISE,
+    SPELLS,
+    VISION_NOISE,
+    Arms,
+    Bools,
+    Floats,
+)
 
 Indices = NDArray[np.intp]
 Randoms = Sequence[np.random.Generator]
-JOINT_NOISE = frozenset(("joint_noise", "joint_noise_speed"))
-VISION_NOISE = frozenset(("vision_noise", "vision_noise_distance"))
-ACTION_NOISE = frozenset(("action_noise", "action_noise_size"))
-"""The columns of `Arms` that say how noisy joints, sight and actions are."""
-MISSED = ("action_dropped", "action_held", "action_repeated")
-SPELLS = ("number_dropped", "number_held", "observation_repeated")
-"""The columns of `Arms` that say how often something happens to actions and observations."""
-RANDOM = JOINT_NOISE | VISION_NOISE | ACTION_NOISE | {"observation_noise", *MISSED, *SPELLS}
-"""All columns of `Arms` that need random numbers in each step."""
 _BLOCK = 50  # control steps for which numbers are drawn at once
 
 
@@ -41,7 +42,7 @@ class Noise:
         counts = (joints, joints, 1, size, size, 1)
         sizes = dict(zip((*MISSED, *SPELLS), counts, strict=True))
         uniform = {name: (frozenset([name]), size) for name, size in sizes.items()}
-        self._names = touched & RANDOM
+        self._names = touched & {*NOISE, *MISSED, *SPELLS}
         self._normal, self._normals = _blocks(count, normal, touched, np.float64)
         self._uniform, self._uniforms = _blocks(count, uniform, touched, np.float32)
         self._is_noisy = np.zeros(count, dtype=bool)
@@ -101,7 +102,9 @@ def combined(std: Floats, more: Floats) -> Floats:
 class Spells:
     """What happens to m numbers of n arms by chance, and then lasts for some control steps."""
 
-    def __init__(self, count: int, size: int) -> None:
+    def __init__(self, name: str, count: int, size: int) -> None:
+        """Prepare for n arms, given the name of the column of its probability."""
+        self._name = name
         self._left = np.zeros((count, size), np.float32)
 
     def begin(self, arms: Indices) -> None:
@@ -110,37 +113,36 @@ class Spells:
 
     def now(
         self,
-        chances: NDArray[np.float32],
-        probability: Floats,
-        steps: Floats,
-        *,
-        begins_after: bool = False,
-        arms: Any = ...,
+        arms: Arms,
+        noise: Noise,
+        steps: Indices,
+        indices: Indices | None = None,
+        may_be: Bools | bool = True,
     ) -> Bools:
-        """Return to which numbers of k arms it happens in this step, (k, m).
+        """Return to which numbers of k arms it happens in this step, (k, m); None: of all arms.
 
-        `chances`, (k, m), are uniform; it begins with a `probability`, (k,), and lasts `steps`, but
-        ends where it has none any more.  If it `begins_after` this step, a spell never follows
-        another at once.
+        `arms` have the present columns of all.  It begins only where it `may_be`, (k,), and ends
+        where it has no probability any more.  What is repeated was there once before, so it begins
+        after this step, and a spell never follows another at once.
         """
-        before = np.where(probability[:, None] > 0.0, self._left[arms], np.float32(0.0))
-        begins = (before == 0.0) & (chances < probability[:, None].astype(np.float32))
-        lasts = (steps[:, None] + begins_after).astype(np.float32)
-        left = np.where(begins, lasts, before)
-        self._left[arms] = np.maximum(left - np.float32(1.0), np.float32(0.0))
+        rows: Any = slice(None) if indices is None else indices
+        probability = np.where(may_be, getattr(arms, self._name)[rows], 0.0)[:, None]
+        duration = getattr(arms, f"{self._name}_steps")[rows][:, None]
+        begins_after = self._name.endswith("_repeated")
+        chances = noise.uniform(self._name, steps, indices)
+        before = np.where(probability > 0.0, self._left[rows], np.float32(0.0))
+        begins = (before == 0.0) & (chances < probability.astype(np.float32))
+        left = np.where(begins, (duration + begins_after).astype(np.float32), before)
+        self._left[rows] = np.maximum(left - np.float32(1.0), np.float32(0.0))
         return np.asarray((before if begins_after else left) > 0.0)
 
 
 class Late:
     """The last values of n arms, of which each arm's arrives so many steps late."""
 
-    def __init__(self, value: Any, most: int) -> None:
-        """Make room for delays of at most so many steps; `value` is an array (n, …), or a mapping.
-
-        A mapping is never late.
-        """
+    def __init__(self, value: NDArray[Any], most: int) -> None:
+        """Make room for delays of at most so many steps; `value` is an array (n, …)."""
         self._value = value
-        self._count = len(next(iter(value.values())) if isinstance(value, dict) else value)
         if most:
             self._values = np.repeat(value[None], most + 1, axis=0)
         self._most, self._newest = most, 0
@@ -155,16 +157,11 @@ class Late:
             self._most, self._newest = most, most
 
     @property
-    def is_late(self) -> bool:
-        """Whether a value may arrive later than it is sent; else the newest one is handed out."""
-        return self._most > 0
-
-    @property
-    def oldest(self) -> Any:
+    def oldest(self) -> NDArray[Any]:
         """The value that the next one replaces; it may be overwritten and sent."""
         return self._values[(self._newest + 1) % (self._most + 1)] if self._most else self._value
 
-    def send(self, value: Any) -> None:
+    def send(self, value: NDArray[Any]) -> None:
         """Send a value on its way, in place of the oldest."""
         if not self._most:
             self._value = value
@@ -174,26 +171,26 @@ class Late:
         if not np.may_share_memory(value, oldest):  # else it was written into this place
             oldest[...] = value
 
-    def fill(self, arms: Indices, value: Any) -> None:
+    def fill(self, arms: Indices, value: NDArray[Any]) -> None:
         """Let the value of some arms be all that is on its way."""
         if self._most:
             self._values[:, arms] = value
         else:
-            put(self._value, arms, value)
+            self._value[arms] = value
 
-    def take(self, arms: Indices, steps: Indices, values: Any) -> None:
+    def take(self, arms: Indices, steps: Indices, values: NDArray[Any]) -> None:
         """Send the values of all arms, or of some that are at their start.
 
         Of an arm at its start, (k,) `steps` of 0, nothing else is on its way.
         """
         starts = np.arange(len(arms))
-        if len(arms) == self._count:
+        if len(arms) == len(self._value):
             self.send(values)
             starts = np.flatnonzero(steps == 0)
         if len(starts):
-            self.fill(arms[starts], pick(values, starts))
+            self.fill(arms[starts], values[starts])
 
-    def arrived(self, delays: Any) -> Any:
+    def arrived(self, delays: Any) -> NDArray[Any]:
         """Return the value of each arm that arrives now, given its delay, (n,)."""
         if not self._most:
             return self._value

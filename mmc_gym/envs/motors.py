@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mmc_gym.envs.arms import Arms, Floats
-from mmc_gym.envs.buffers import ACTION_NOISE, MISSED, Indices, Late, Noise, Spells, combined
+from mmc_gym.envs.arms import ACTION_NOISE, MISSED, Arms, Floats
+from mmc_gym.envs.buffers import Indices, Late, Noise, Spells, combined
 
 MOTORS = frozenset(
     (
@@ -40,7 +40,7 @@ class Motors:
         self.sent = np.zeros((count, joints))  #: the last actions as they arrived, (n, N)
         self._before = np.zeros((count, joints))  # the action that may be held or repeated
         sizes = zip(MISSED, (joints, joints, 1), strict=True)
-        self._spells = {name: Spells(count, size) for name, size in sizes if name in touched}
+        self._spells = {name: Spells(name, count, size) for name, size in sizes if name in touched}
         self._late = Late(np.zeros((count, joints)), delay)
 
     def grow(self, delay: int) -> None:
@@ -61,11 +61,9 @@ class Motors:
         """
         touched, values = self._touched, np.asarray(actions, np.float64)
         for name, spells in self._spells.items():
-            probability, duration = getattr(arms, name), getattr(arms, f"{name}_steps")
-            chances, later = noise.uniform(name, steps), name == "action_repeated"
-            happens = spells.now(chances, probability, duration, begins_after=later)
             stays = self._holds or name != "action_dropped"
-            values = np.where(happens, self._before if stays else 0.0, values)
+            instead = self._before if stays else 0.0
+            values = np.where(spells.now(arms, noise, steps), instead, values)
         self._before = values
         if "action_delay" in touched:
             self._late.send(values)

@@ -17,11 +17,8 @@ from mmc_gym._errors import UserError, require_array
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.arguments import RENDER_MODES, SingleArguments, SingleGoalArguments, takes
-from mmc_gym.envs.buffers import Noise
 from mmc_gym.envs.cursor import Cursor
-from mmc_gym.envs.motors import Motors
 from mmc_gym.envs.reward import precision, reward_and_info
-from mmc_gym.envs.senses import Senses
 from mmc_gym.envs.setup import Episode, GoalSetup, ReachEnvironment, ReachSetup
 from mmc_gym.envs.trials import check_target, require_finite_numbers
 from mmc_gym.envs.workspace import Point, distances
@@ -284,22 +281,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self.setup, self.episode, self._numbers = setup, episode, episode.numbers
         self._shown, self._context = setup.context_of(episode.numbers[None])[0], self.context
         self._has_context = setup.episodes.is_drawn or len(self._shown) > 0
-        touched, joints = setup.touched, setup.joint_count
         locks = max(episode.lock_step, episode.unlock_step) > 0
         self._has_events = setup.trials.path_length > 1 or locks or setup.is_timed
         self._has_events |= setup.are_senses_disturbed or setup.are_motors_disturbed
-        size = setup.layout.size
-        self._noise = Noise(1, joints, size, touched)
-        holds = setup.control == "joint_position"
-        delays = episode.delays
-        self._motors: Motors | None = None
-        if setup.are_motors_disturbed:
-            self._motors = Motors(1, joints, delays["action_delay"], touched, holds)
-        self._senses: Senses | None = None
-        if setup.are_senses_disturbed:
-            self._senses = Senses(
-                1, joints, setup.layout.limits, delays, touched, setup.control_step
-            )
+        self._noise, self._motors, self._senses = setup.links(1, episode.delays)
         self._observation: Any = None  # without its context, if senses are disturbed
 
     def _with_context(self, observation: Any, info: Info) -> Any:

@@ -18,17 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.envs.arms import Arms, Bools, Floats
-from mmc_gym.envs.buffers import (
-    JOINT_NOISE,
-    SPELLS,
-    VISION_NOISE,
-    Indices,
-    Late,
-    Noise,
-    Spells,
-    combined,
-)
+from mmc_gym.envs.arms import JOINT_NOISE, SPELLS, VISION_NOISE, Arms, Bools, Floats
+from mmc_gym.envs.buffers import Indices, Late, Noise, Spells, combined
 from mmc_gym.envs.workspace import distances
 from mmc_gym.interface import Seen
 
@@ -66,7 +57,7 @@ class Senses:
         self._felt, self._drifted = np.zeros((2, count, joints))  # joint angles before, and drift
         self._hand_sight = HandSight(count, control_step)
         sizes = zip(SPELLS, (size, size, 1), strict=True)
-        self._spells = {name: Spells(count, size) for name, size in sizes if name in touched}
+        self._spells = {name: Spells(name, count, size) for name, size in sizes if name in touched}
         self._before = np.zeros((count, size), np.float32)  # the last observation
         self.late = Late(np.zeros((count, size), np.float32), delays["delay"])  #: observations
 
@@ -154,14 +145,7 @@ class Senses:
             self._before[indices[starts]] = observation[starts]
             before = self._before[indices]
             for name, spells in self._spells.items():
-                spells.begin(indices[starts])
-                probability = np.where(starts, 0.0, getattr(arms, name)[indices])
-                duration = getattr(arms, f"{name}_steps")[indices]
-                chances = noise.uniform(name, steps, indices)
-                later = name == "observation_repeated"
-                happens = spells.now(
-                    chances, probability, duration, begins_after=later, arms=indices
-                )
+                happens = spells.now(arms, noise, steps, indices, may_be=~starts)
                 instead = np.float32(0.0) if name == "number_dropped" else before
                 observation = np.where(happens, instead, observation)
             self._before[indices] = observation

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, require
 from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.envs.arguments import ReachArguments
-from mmc_gym.envs.arms import DELAYS, Arms, Bools, Floats
-from mmc_gym.envs.buffers import JOINT_NOISE, VISION_NOISE
+from mmc_gym.envs.arms import DELAYS, JOINT_NOISE, VISION_NOISE, Arms, Bools, Floats
+from mmc_gym.envs.buffers import Noise
 from mmc_gym.envs.cursor import CURSOR, Cursor
 from mmc_gym.envs.episodes import Episodes
-from mmc_gym.envs.motors import MOTORS
+from mmc_gym.envs.motors import MOTORS, Motors
 from mmc_gym.envs.names import as_changes, as_plain, as_task, environment_id
 from mmc_gym.envs.reward import RewardSettings
-from mmc_gym.envs.senses import SENSES
+from mmc_gym.envs.senses import SENSES, Senses
 from mmc_gym.envs.trials import Options, Trials, check_context, check_names
 from mmc_gym.envs.workspace import REACH_TOLERANCE, Workspace
 from mmc_gym.geometry import wrap_angle
@@ -293,6 +293,22 @@ class ReachSetup:
             seen.joint_angles, speeds, hand=seen.hand, target=seen.target
         )
         return observation
+
+    def links(
+        self, count: int, delays: Mapping[str, int]
+    ) -> tuple[Noise, Motors | None, Senses | None]:
+        """Return the random numbers, motors and senses of n arms; None where they are in order.
+
+        `delays` are the longest of each column of `DELAYS`, control steps.
+        """
+        joints, layout, touched = self.joint_count, self.layout, self.touched
+        motors = senses = None
+        if self.are_motors_disturbed:
+            holds = self.control == "joint_position"
+            motors = Motors(count, joints, delays["action_delay"], touched, holds)
+        if self.are_senses_disturbed:
+            senses = Senses(count, joints, layout.limits, delays, touched, self.control_step)
+        return Noise(count, joints, layout.size, touched), motors, senses
 
     def rest(self, postures: Floats) -> Floats:
         """Return actions, (n, N), under which arms at rest in postures, (n, N), stay there."""

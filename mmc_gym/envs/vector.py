@@ -29,12 +29,10 @@ from mmc_gym.body.base import ArmBatch
 from mmc_gym.body.parameters import joints_that_lock
 from mmc_gym.envs.arguments import VectorArguments, VectorGoalArguments, takes
 from mmc_gym.envs.arms import Arms
-from mmc_gym.envs.buffers import Noise, pick, put
+from mmc_gym.envs.buffers import pick, put
 from mmc_gym.envs.cursor import Cursor
-from mmc_gym.envs.motors import Motors
 from mmc_gym.envs.reach import GoalEnvironment, Info, with_context
 from mmc_gym.envs.reward import reward_and_info
-from mmc_gym.envs.senses import Senses
 from mmc_gym.envs.setup import GoalSetup, ReachEnvironment, ReachSetup, State
 from mmc_gym.envs.trials import Options
 from mmc_gym.envs.workspace import (
@@ -128,23 +126,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         self._observation: Any = create_empty_array(setup.plain_space, num_envs)
-        joints, size, delays, touched = (
-            setup.joint_count,
-            setup.layout.size,
-            setup.limits.delays,
-            setup.touched,
-        )
         self._unseen = np.empty((num_envs, 0), np.float32)  # of senses that change what is seen
-        self._noise = Noise(num_envs, joints, size, touched)
-        self._motors: Motors | None = None
-        if setup.are_motors_disturbed:
-            holds = setup.control == "joint_position"
-            self._motors = Motors(num_envs, joints, delays["action_delay"], touched, holds)
-        self._senses: Senses | None = None
-        if setup.are_senses_disturbed:
-            self._senses = Senses(
-                num_envs, joints, setup.layout.limits, delays, touched, setup.control_step
-            )
+        self._noise, self._motors, self._senses = setup.links(num_envs, setup.limits.delays)
         self._compiled: CompiledStep | None = None
         if setup.engine == "analytic":
             from mmc_gym.envs.compiled import CompiledStep  # needs numba
