@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -153,6 +154,7 @@ class Family:
     is_given: bool = False  #: whether agents are always given it
     has_strength: bool = True  #: if not, there is one perturbation, without a number
     opposite: str = ""  #: name of the family whose negative strengths are this one's
+    group: str = ""  #: one of `GROUPS`; empty for one of your own
     of: str = ""  #: what its function's argument `of` counts (`-of-`), such as "motor"
 
     def __call__(
@@ -179,7 +181,7 @@ class Family:
         number = self.default if strength is None else strength
         return Change(self, number, at, over, until, known, tuple(sorted(settings.items())))
 
-    @property
+    @cached_property
     def takes_times(self) -> bool:
         """Whether its function takes the times, and sees to them, as those of locks do."""
         return {"at", "until"} <= inspect.signature(self.apply).parameters.keys()

@@ -63,8 +63,10 @@ class Part:
 
     def apply(self, arms: Arms, drawn: Floats, steps: Steps) -> None:
         """Change the arms that have drawn (n, m) to what they are after so many steps."""
-        strength, at, over, until, *values = self.numbers(drawn).values()
         is_chosen, family = self.is_chosen(drawn), self.change.family
+        if not is_chosen.any():  # of many options each arm has one
+            return
+        strength, at, over, until, *values = self.numbers(drawn).values()
         strengths = np.full(len(drawn), strength, dtype=np.float64)
         names = [name for name, _ in self.change.settings]
         settings = dict(zip(names, values, strict=True))

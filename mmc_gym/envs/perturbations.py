@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,60 +38,44 @@ FOUR_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.
 _MOST_MS = 1e6
 
 
-# The families of this package.  Their order is that of lists.
+# The families of this package, by the group of what they change.  Their order is that of lists.
 
 FAMILIES: dict[str, Family] = {}
 """The families of perturbations by name."""
+GROUPS = ("cursor", "geometry", "loads", "locks", "motors", "senses")
+"""The groups of families."""
 
 
 def _family(
-    name: str, unit: str, description: str, default: float, **facts: Any
+    group: str, name: str, unit: str, description: str, default: float, **facts: Any
 ) -> Callable[[Callable[..., None]], Family]:
     """Return a decorator that makes a function a family; `facts` are more fields of `Family`."""
 
     def register(apply: Callable[..., None]) -> Family:
-        FAMILIES[name] = Family(name, unit, description, default, apply, **facts)
+        FAMILIES[name] = Family(name, unit, description, default, apply, group=group, **facts)
         return FAMILIES[name]
 
     return register
 
 
+_cursor, _geometry, _loads, _locks, _motors, _senses = (partial(_family, name) for name in GROUPS)
+
+# Facts that several families share.
 _FINITE: dict[str, Any] = {"low": -LARGEST_SIZE, "high": LARGEST_SIZE}
+_LENGTH: dict[str, Any] = {"neutral": 0.0, "known": True, "begins": False, "of": "segment"}
+_JOINT: dict[str, Any] = {"low": 1.0, "whole": True}
+_STD: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": LARGEST_SIZE}
+_MS: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": _MOST_MS}
+_FACTOR: dict[str, Any] = {"neutral": 1.0, "low": SMALLEST_SIZE, "high": LARGEST_SIZE}
+_FACTOR["begins"] = False
+_SHARE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 2.0}
+_CHANCE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 1.0}
 
 
-@_family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, neutral=0.0)
-def ForceField(arms: Arms, curl: Floats) -> None:
-    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).  Fields add up.
-
-    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
-    the field drives the servos to their torque limit.  A positive curl, in mass / s, bends to the
-    right of the movement.
-    """
-    arms.force_field[:, 0, 1] += curl
-    arms.force_field[:, 1, 0] -= curl
+# Cursor: what stands for the hand.
 
 
-@_family(
-    "channel",
-    "mass/s",
-    "walls along the way, as for a curl field of {}",
-    60.0,
-    begins=False,
-    **_FINITE,
-)
-def Channel(arms: Arms, curl: Floats) -> None:
-    """Stiff walls confine the hand to the line from its start to the first target.
-
-    After Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi (2000), J. Neurophysiol. 84:853.
-    `info` has the `channel_force` with which the hand pushes to the left, and the `ideal_force`
-    that would cancel a curl field: `curl` times the speed along the line.  The slope of
-    `channel_force` on `ideal_force` is the share of the field that was learned (Smith, Ghazizadeh &
-    Shadmehr 2006, PLoS Biol. 4:e179).
-    """
-    arms.channel[:] = np.nan_to_num(arms.channel) + curl
-
-
-@_family("rotation", "°", "cursor turned by {}°", 30.0, neutral=0.0)
+@_cursor("rotation", "°", "cursor turned by {}°", 30.0, neutral=0.0)
 def VisuomotorRotation(arms: Arms, degrees: Floats, centre: Point | None = None) -> None:
     """The cursor is the hand, turned counter-clockwise about a centre.
 
@@ -103,7 +88,7 @@ def VisuomotorRotation(arms: Arms, degrees: Floats, centre: Point | None = None)
     arms.turn_cursor(((cosine, -sine), (sine, cosine)), _centre(centre))
 
 
-@_family("gain", "times", "cursor {} times as far as the hand", 1.4, neutral=1.0, low=SMALLEST_SIZE)
+@_cursor("gain", "times", "cursor {} times as far as the hand", 1.4, neutral=1.0, low=SMALLEST_SIZE)
 def CursorGain(arms: Arms, factor: Floats, centre: Point | None = None) -> None:
     """The cursor is `factor` times as far from the centre as the hand.
 
@@ -112,7 +97,7 @@ def CursorGain(arms: Arms, factor: Floats, centre: Point | None = None) -> None:
     arms.turn_cursor(((factor, 0.0 * factor), (0.0 * factor, factor)), _centre(centre))
 
 
-@_family("mirror", "° of the axis", "cursor mirrored at an axis of {}°", 90.0)
+@_cursor("mirror", "° of the axis", "cursor mirrored at an axis of {}°", 90.0)
 def CursorMirror(arms: Arms, degrees: Floats, centre: Point | None = None) -> None:
     """The cursor is the mirror image of the hand, on the other side of an axis through the centre.
 
@@ -123,7 +108,7 @@ def CursorMirror(arms: Arms, degrees: Floats, centre: Point | None = None) -> No
     arms.turn_cursor(((along, across), (across, -along)), _centre(centre))
 
 
-@_family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0)
+@_cursor("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0)
 def ErrorClamp(arms: Arms, degrees: Floats) -> None:
     """The cursor moves in a fixed direction, as far from the centre as the freely moving hand.
 
@@ -133,7 +118,7 @@ def ErrorClamp(arms: Arms, degrees: Floats) -> None:
     arms.clamp[:] = degrees
 
 
-@_family(
+@_cursor(
     "cursor-jump",
     "% of the way",
     "cursor jumps across the way by {} % of it",
@@ -153,22 +138,42 @@ def CursorJump(arms: Arms, percent: Floats, share: float = 0.25) -> None:
     arms.jump_after[:] = share
 
 
-@_family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, neutral=0.0, low=0.0)
-def HandMass(arms: Arms, mass: Floats) -> None:
-    """The hand carries a point mass; 3 is as heavy as the default arm.  Masses add up."""
-    arms.hand_mass += mass
+@_cursor("cursor-shift", "lengths", "cursor shifted by {} segment lengths", 0.2, neutral=0.0)
+def cursor_shift(arms: Arms, distance: Floats) -> None:
+    """The cursor is to the right of the hand, along x, as through prism goggles.
+
+    After Martin, Keating, Goodkin, Bastian & Thach (1996), Brain 119:1183.
+    """
+    arms.shift[:, 0] += distance
 
 
-_LENGTH: dict[str, Any] = {"neutral": 0.0, "known": True, "begins": False, "of": "segment"}
+@_cursor("base-shift", "lengths", "base moved by {} segment lengths", 0.2, neutral=0.0)
+def base_shift(arms: Arms, distance: Floats) -> None:
+    """The base is further to the right, along x, than agents are given.
+
+    `info["end_effector"]` is still from the base, and obstacles, gravity and fields move with it;
+    `info["cursor"]` is where the hand is.
+    """
+    arms.shift[:, 0] += distance
 
 
-@_family("longer", "%", "last segment {} % longer", 20.0, low=-99.9999, **_LENGTH)
+@_cursor("base-turn", "°", "base turned by {}°", 20.0, neutral=0.0)
+def base_turn(arms: Arms, degrees: Floats) -> None:
+    """The base is turned counter-clockwise from what agents are given; see `base-shift`."""
+    cosine, sine = cosine_and_sine(degrees)
+    arms.turn_cursor(((cosine, -sine), (sine, cosine)), (0.0, 0.0))
+
+
+# Geometry: lengths, and what is in the way.
+
+
+@_geometry("longer", "%", "last segment {} % longer", 20.0, low=-99.9999, **_LENGTH)
 def longer(arms: Arms, percent: Floats, of: Any = -1) -> None:
     """A segment is longer or shorter than before, as by a tool or growth; its mass is the same."""
     arms.segment_lengths *= _factors(arms, 1 + percent / 100, of)
 
 
-@_family(
+@_geometry(
     "shorter", "%", "last segment {} % shorter", 20.0, high=99.9999, opposite="longer", **_LENGTH
 )
 def shorter(arms: Arms, percent: Floats, of: Any = -1) -> None:
@@ -176,124 +181,7 @@ def shorter(arms: Arms, percent: Floats, of: Any = -1) -> None:
     arms.segment_lengths *= _factors(arms, 1 - percent / 100, of)
 
 
-_JOINT: dict[str, Any] = {"low": 1.0, "whole": True}
-
-
-@_family(
-    "locked", "joint", "joint {} (from the base) locked from the start", 2.0, known=True, **_JOINT
-)
-def locked(arms: Arms, number: Floats, at: Any = 0.0, until: Any = math.inf) -> None:
-    """A joint becomes rigid at its present angle until the next reset, or until it is free again.
-
-    If it is locked from the start, the other joints can reach all targets.  If it locks later, the
-    target may become unreachable: the posture at that time is not known when targets are drawn.
-    """
-    arms.lock(arms.which(number), at, until)
-
-
-@_family(
-    "locks",
-    "joint",
-    "joint {} (from the base) locked after 0.2 s",
-    2.0,
-    known=True,
-    begins=False,
-    **_JOINT,
-)
-def locks(arms: Arms, number: Floats) -> None:
-    """A joint becomes rigid after 0.2 s, at the angle that it then has, until the next reset."""
-    arms.lock(arms.which(number), 0.2, math.inf)
-
-
-_STD: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": LARGEST_SIZE}
-
-
-def _add_variance(std: Floats, more: Floats) -> None:
-    std[:] = np.where(std == 0.0, more, np.sqrt(std * std + more * more))
-
-
-@_family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, **_STD)
-def JointNoise(arms: Arms, std: Floats) -> None:
-    """Noise of joint angles, of this standard deviation; that of velocities is 10 / s times that.
-
-    Standing still, people feel their joint angles to about 1° (van Beers, Sittig & Denier van
-    der Gon, 1998, Exp. Brain Res. 122:367).
-    """
-    _add_variance(arms.joint_noise, std)
-
-
-@_family("joint-noise-speed", "s", "noise of joint angles, {} s of joint speed", 0.01, **_STD)
-def JointNoiseSpeed(arms: Arms, std: Floats) -> None:
-    """Noise of joint angles whose standard deviation grows with the joint's speed."""
-    _add_variance(arms.joint_noise_speed, std)
-
-
-@_family(
-    "vision-noise", "lengths", "noise of the seen hand and target, {} segment lengths", 0.03, **_STD
-)
-def VisionNoise(arms: Arms, std: Floats) -> None:
-    """Noise of the seen hand and target, in each coordinate."""
-    _add_variance(arms.vision_noise, std)
-
-
-@_family(
-    "vision-noise-distance",
-    "of distance",
-    "noise of the seen hand and target, {} of their distance",
-    0.05,
-    **_STD,
-)
-def VisionNoiseDistance(arms: Arms, std: Floats) -> None:
-    """Noise of the seen hand and target that grows with their distance (Weber's law)."""
-    _add_variance(arms.vision_noise_distance, std)
-
-
-_MS: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": _MOST_MS}
-
-
-@_family("delay", "ms", "all senses late by {} ms", 100.0, **_MS)
-def delay(arms: Arms, ms: Floats) -> None:
-    """All observations are late; until the delay is over, they show the start.  Delays add up.
-
-    They are rounded to control steps.  Gymnasium has `gymnasium.wrappers.DelayObservation`, but it
-    shows zeros at first, which no posture has, and cannot wrap a vector environment.
-    """
-    arms.delay += ms / 1000
-
-
-@_family("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, **_MS)
-def vision_delay(arms: Arms, ms: Floats) -> None:
-    """Hand and target are seen late, while the joints are felt on time.
-
-    Until the delay is over, hand and target are seen where they were at the start.  People also see
-    later than they feel (Crevecoeur, Munoz & Scott 2016, J. Neurosci. 36:8598).
-    """
-    arms.vision_delay += ms / 1000
-
-
-@_family("no-feedback", "", "hand not seen after the start", 1.0, has_strength=False)
-def NoFeedback(arms: Arms, _: Floats) -> None:
-    """The hand is never seen after the start: no visual correction hides what was learned.
-
-    Observations repeat where the hand, or its cursor, was last seen, and `info["is_hand_seen"]`
-    says whether it is seen now.  The target is always seen.
-    """
-    arms.hidden[:] = 1.0
-
-
-@_family(
-    "endpoint-feedback", "", "hand seen at the end of the movement only", 1.0, has_strength=False
-)
-def EndpointFeedback(arms: Arms, _: Floats) -> None:
-    """The hand is seen only at the end of the movement, and is shown there from then on.
-
-    The movement ends when the hand is slower than 5 % of its peak speed.  People learn from such
-    endpoints, too (Taylor, Krakauer & Ivry 2014, J. Neurosci. 34:3023).
-    """
-    arms.hidden[:] = np.where(arms.hidden == 1.0, 1.0, 2.0)
-
-
-@_family(
+@_geometry(
     "obstacles",
     "discs",
     "fixed discs stop the arm, {}",
@@ -319,21 +207,16 @@ def obstacles(arms: Arms, count: Floats, discs: Any = None, segment_radius: floa
     arms.segment_radius[:] = segment_radius
 
 
-@_family(
-    "gravity",
-    "lengths/s²",
-    "arm hangs in a gravity of {} segment lengths/s²",
-    60.0,
-    neutral=0.0,
-    begins=False,
-    is_given=True,
-)
-def Gravity(arms: Arms, acceleration: Floats) -> None:
-    """The arm hangs in gravity, which pulls along −y.  Agents are always given it."""
-    arms.gravity[:, 1] -= acceleration
+# Loads: masses and forces.
 
 
-@_family(
+@_loads("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, neutral=0.0, low=0.0)
+def HandMass(arms: Arms, mass: Floats) -> None:
+    """The hand carries a point mass; 3 is as heavy as the default arm.  Masses add up."""
+    arms.hand_mass += mass
+
+
+@_loads(
     "segment-mass",
     "times",
     "last segment {} times as heavy",
@@ -348,41 +231,85 @@ def segment_mass(arms: Arms, factor: Floats, of: Any = -1) -> None:
     arms.segment_masses *= _factors(arms, factor, of)
 
 
-@_family("cursor-shift", "lengths", "cursor shifted by {} segment lengths", 0.2, neutral=0.0)
-def cursor_shift(arms: Arms, distance: Floats) -> None:
-    """The cursor is to the right of the hand, along x, as through prism goggles.
+@_loads("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, neutral=0.0)
+def ForceField(arms: Arms, curl: Floats) -> None:
+    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).  Fields add up.
 
-    After Martin, Keating, Goodkin, Bastian & Thach (1996), Brain 119:1183.
+    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
+    the field drives the servos to their torque limit.  A positive curl, in mass / s, bends to the
+    right of the movement.
     """
-    arms.shift[:, 0] += distance
+    arms.force_field[:, 0, 1] += curl
+    arms.force_field[:, 1, 0] -= curl
 
 
-@_family("base-shift", "lengths", "base moved by {} segment lengths", 0.2, neutral=0.0)
-def base_shift(arms: Arms, distance: Floats) -> None:
-    """The base is further to the right, along x, than agents are given.
+@_loads(
+    "gravity",
+    "lengths/s²",
+    "arm hangs in a gravity of {} segment lengths/s²",
+    60.0,
+    neutral=0.0,
+    begins=False,
+    is_given=True,
+)
+def Gravity(arms: Arms, acceleration: Floats) -> None:
+    """The arm hangs in gravity, which pulls along −y.  Agents are always given it."""
+    arms.gravity[:, 1] -= acceleration
 
-    `info["end_effector"]` is still from the base, and obstacles, gravity and fields move with it;
-    `info["cursor"]` is where the hand is.
+
+@_loads(
+    "channel",
+    "mass/s",
+    "walls along the way, as for a curl field of {}",
+    60.0,
+    begins=False,
+    **_FINITE,
+)
+def Channel(arms: Arms, curl: Floats) -> None:
+    """Stiff walls confine the hand to the line from its start to the first target.
+
+    After Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi (2000), J. Neurophysiol. 84:853.
+    `info` has the `channel_force` with which the hand pushes to the left, and the `ideal_force`
+    that would cancel a curl field: `curl` times the speed along the line.  The slope of
+    `channel_force` on `ideal_force` is the share of the field that was learned (Smith, Ghazizadeh &
+    Shadmehr 2006, PLoS Biol. 4:e179).
     """
-    arms.shift[:, 0] += distance
+    arms.channel[:] = np.nan_to_num(arms.channel) + curl
 
 
-@_family("base-turn", "°", "base turned by {}°", 20.0, neutral=0.0)
-def base_turn(arms: Arms, degrees: Floats) -> None:
-    """The base is turned counter-clockwise from what agents are given; see `base-shift`."""
-    cosine, sine = cosine_and_sine(degrees)
-    arms.turn_cursor(((cosine, -sine), (sine, cosine)), (0.0, 0.0))
+# Locks: joints that become rigid.
+
+
+@_locks(
+    "locked", "joint", "joint {} (from the base) locked from the start", 2.0, known=True, **_JOINT
+)
+def locked(arms: Arms, number: Floats, at: Any = 0.0, until: Any = math.inf) -> None:
+    """A joint becomes rigid at its present angle until the next reset, or until it is free again.
+
+    If it is locked from the start, the other joints can reach all targets.  If it locks later, the
+    target may become unreachable: the posture at that time is not known when targets are drawn.
+    """
+    arms.lock(arms.which(number), at, until)
+
+
+@_locks(
+    "locks",
+    "joint",
+    "joint {} (from the base) locked after 0.2 s",
+    2.0,
+    known=True,
+    begins=False,
+    **_JOINT,
+)
+def locks(arms: Arms, number: Floats) -> None:
+    """A joint becomes rigid after 0.2 s, at the angle that it then has, until the next reset."""
+    arms.lock(arms.which(number), 0.2, math.inf)
 
 
 # Motors: what becomes of actions, which are shares of the largest; see `mmc_gym.envs.motors`.
 
-_FACTOR: dict[str, Any] = {"neutral": 1.0, "low": SMALLEST_SIZE, "high": LARGEST_SIZE}
-_FACTOR["begins"] = False
-_SHARE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 2.0}
-_CHANCE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": 1.0}
 
-
-@_family(
+@_motors(
     "motor-gain", "times", "motors turn {} times as far", 0.4, neutral=1.0, of="motor", **_FINITE
 )
 def motor_gain(arms: Arms, factor: Floats, of: Any = None) -> None:
@@ -390,7 +317,7 @@ def motor_gain(arms: Arms, factor: Floats, of: Any = None) -> None:
     arms.motor_gain *= _factors(arms, factor, of)
 
 
-@_family(
+@_motors(
     "motor-offset",
     "of the largest action",
     "motors pushed by {} of the largest action",
@@ -404,13 +331,13 @@ def motor_offset(arms: Arms, share: Floats, of: Any = None) -> None:
     arms.motor_offset += np.where(arms.which(of), share[:, None], 0.0)
 
 
-@_family("dead-zone", "of the largest action", "actions below {} do nothing", 0.1, **_SHARE)
+@_motors("dead-zone", "of the largest action", "actions below {} do nothing", 0.1, **_SHARE)
 def dead_zone(arms: Arms, share: Floats) -> None:
     """Actions smaller than this share of the largest do nothing."""
     arms.dead_zone[:] = np.maximum(arms.dead_zone, share)
 
 
-@_family(
+@_motors(
     "backlash",
     "of the largest action",
     "motors follow once actions turned back by {}",
@@ -426,7 +353,7 @@ def backlash(arms: Arms, share: Floats) -> None:
     arms.backlash += share
 
 
-@_family(
+@_motors(
     "action-noise", "of the largest action", "noise of actions, {} of the largest", 0.1, **_STD
 )
 def action_noise(arms: Arms, std: Floats) -> None:
@@ -434,7 +361,7 @@ def action_noise(arms: Arms, std: Floats) -> None:
     _add_variance(arms.action_noise, std)
 
 
-@_family("action-noise-size", "of the action", "noise of actions, {} of their size", 0.2, **_STD)
+@_motors("action-noise-size", "of the action", "noise of actions, {} of their size", 0.2, **_STD)
 def action_noise_size(arms: Arms, std: Floats) -> None:
     """White noise of actions that grows with them.
 
@@ -443,7 +370,7 @@ def action_noise_size(arms: Arms, std: Floats) -> None:
     _add_variance(arms.action_noise_size, std)
 
 
-@_family("action-delay", "ms", "actions late by {} ms", 60.0, **_MS)
+@_motors("action-delay", "ms", "actions late by {} ms", 60.0, **_MS)
 def action_delay(arms: Arms, ms: Floats) -> None:
     """Actions arrive late; until the delay is over, the arm rests.  Delays add up.
 
@@ -452,46 +379,130 @@ def action_delay(arms: Arms, ms: Floats) -> None:
     arms.action_delay += ms / 1000
 
 
-@_family("dropped-actions", "probability", "actions dropped with probability {}", 0.1, **_CHANCE)
+@_motors("dropped-actions", "probability", "actions dropped with probability {}", 0.1, **_CHANCE)
 def dropped_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """The action of each motor is dropped now and then, for so many control steps."""
     _happen(arms, "action_dropped", probability, steps)
 
 
-@_family("held-actions", "probability", "actions kept with probability {}", 0.1, **_CHANCE)
+@_motors("held-actions", "probability", "actions kept with probability {}", 0.1, **_CHANCE)
 def held_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """The action of each motor stays as it was now and then, for so many control steps."""
     _happen(arms, "action_held", probability, steps)
 
 
-@_family("repeated-actions", "probability", "actions repeated with probability {}", 0.3, **_CHANCE)
+@_motors("repeated-actions", "probability", "actions repeated with probability {}", 0.3, **_CHANCE)
 def repeated_actions(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """An action is sent again now and then, so many times more."""
     _happen(arms, "action_repeated", probability, steps)
 
 
-@_family("stuck-motor", "motor", "motor {} (from the base) keeps its last action", 2.0, **_JOINT)
+@_motors("stuck-motor", "motor", "motor {} (from the base) keeps its last action", 2.0, **_JOINT)
 def stuck_motor(arms: Arms, number: Floats) -> None:
     """A motor keeps its last action; from the start on, it rests."""
     arms.motor_stuck |= arms.which(number)
 
 
-@_family("torque-limit", "times", "torque limit {} times as high", 0.1, **_FACTOR)
+@_motors("torque-limit", "times", "torque limit {} times as high", 0.1, **_FACTOR)
 def torque_limit(arms: Arms, factor: Floats) -> None:
     """The servos have less torque, or more, than agents are given."""
     arms.torque_limit *= factor
 
 
-@_family("servo-gain", "times", "servos {} times as stiff", 0.5, **_FACTOR)
+@_motors("servo-gain", "times", "servos {} times as stiff", 0.5, **_FACTOR)
 def servo_gain(arms: Arms, factor: Floats) -> None:
     """The servos ask for less speed, or more, for an angle to their target."""
     arms.servo_gain *= factor
 
 
-# Senses that are wrong, see `mmc_gym.envs.senses`.
+# Senses that are noisy, wrong or late, see `mmc_gym.envs.senses`.
 
 
-@_family(
+@_senses("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, **_STD)
+def JointNoise(arms: Arms, std: Floats) -> None:
+    """Noise of joint angles, of this standard deviation; that of velocities is 10 / s times that.
+
+    Standing still, people feel their joint angles to about 1° (van Beers, Sittig & Denier van
+    der Gon, 1998, Exp. Brain Res. 122:367).
+    """
+    _add_variance(arms.joint_noise, std)
+
+
+@_senses("joint-noise-speed", "s", "noise of joint angles, {} s of joint speed", 0.01, **_STD)
+def JointNoiseSpeed(arms: Arms, std: Floats) -> None:
+    """Noise of joint angles whose standard deviation grows with the joint's speed."""
+    _add_variance(arms.joint_noise_speed, std)
+
+
+@_senses(
+    "vision-noise", "lengths", "noise of the seen hand and target, {} segment lengths", 0.03, **_STD
+)
+def VisionNoise(arms: Arms, std: Floats) -> None:
+    """Noise of the seen hand and target, in each coordinate."""
+    _add_variance(arms.vision_noise, std)
+
+
+@_senses(
+    "vision-noise-distance",
+    "of distance",
+    "noise of the seen hand and target, {} of their distance",
+    0.05,
+    **_STD,
+)
+def VisionNoiseDistance(arms: Arms, std: Floats) -> None:
+    """Noise of the seen hand and target that grows with their distance (Weber's law)."""
+    _add_variance(arms.vision_noise_distance, std)
+
+
+@_senses("observation-noise", "of each number", "noise of observed numbers, {}", 0.1, **_STD)
+def observation_noise(arms: Arms, std: Floats) -> None:
+    """White noise of each number of the observation, of this standard deviation, alike for all."""
+    _add_variance(arms.observation_noise, std)
+
+
+@_senses("delay", "ms", "all senses late by {} ms", 100.0, **_MS)
+def delay(arms: Arms, ms: Floats) -> None:
+    """All observations are late; until the delay is over, they show the start.  Delays add up.
+
+    They are rounded to control steps.  Gymnasium has `gymnasium.wrappers.DelayObservation`, but it
+    shows zeros at first, which no posture has, and cannot wrap a vector environment.
+    """
+    arms.delay += ms / 1000
+
+
+@_senses("vision-delay", "ms", "sight of hand and target late by {} ms", 100.0, **_MS)
+def vision_delay(arms: Arms, ms: Floats) -> None:
+    """Hand and target are seen late, while the joints are felt on time.
+
+    Until the delay is over, hand and target are seen where they were at the start.  People also see
+    later than they feel (Crevecoeur, Munoz & Scott 2016, J. Neurosci. 36:8598).
+    """
+    arms.vision_delay += ms / 1000
+
+
+@_senses("no-feedback", "", "hand not seen after the start", 1.0, has_strength=False)
+def NoFeedback(arms: Arms, _: Floats) -> None:
+    """The hand is never seen after the start: no visual correction hides what was learned.
+
+    Observations repeat where the hand, or its cursor, was last seen, and `info["is_hand_seen"]`
+    says whether it is seen now.  The target is always seen.
+    """
+    arms.hidden[:] = 1.0
+
+
+@_senses(
+    "endpoint-feedback", "", "hand seen at the end of the movement only", 1.0, has_strength=False
+)
+def EndpointFeedback(arms: Arms, _: Floats) -> None:
+    """The hand is seen only at the end of the movement, and is shown there from then on.
+
+    The movement ends when the hand is slower than 5 % of its peak speed.  People learn from such
+    endpoints, too (Taylor, Krakauer & Ivry 2014, J. Neurosci. 34:3023).
+    """
+    arms.hidden[:] = np.where(arms.hidden == 1.0, 1.0, 2.0)
+
+
+@_senses(
     "sensor-offset", "rad", "joint sensors off by {} rad", 0.15, neutral=0.0, of="joint", **_FINITE
 )
 def sensor_offset(arms: Arms, radians: Floats, of: Any = None) -> None:
@@ -499,7 +510,7 @@ def sensor_offset(arms: Arms, radians: Floats, of: Any = None) -> None:
     arms.joint_offset += np.where(arms.which(of), radians[:, None], 0.0)
 
 
-@_family(
+@_senses(
     "sensor-drift",
     "rad/s",
     "joint sensors drift by {} rad/s",
@@ -513,13 +524,13 @@ def sensor_drift(arms: Arms, speed: Floats, of: Any = None) -> None:
     arms.joint_drift += np.where(arms.which(of), speed[:, None], 0.0)
 
 
-@_family("stuck-sensor", "joint", "sensor of joint {} (from the base) stuck", 2.0, **_JOINT)
+@_senses("stuck-sensor", "joint", "sensor of joint {} (from the base) stuck", 2.0, **_JOINT)
 def stuck_sensor(arms: Arms, number: Floats) -> None:
     """A joint is felt where it was before, and at rest."""
     arms.joint_stuck |= arms.which(number)
 
 
-@_family(
+@_senses(
     "encoder", "counts", "joint sensors of {} counts in a turn", 64.0, low=2.0, high=1e9, whole=True
 )
 def encoder(arms: Arms, counts: Floats) -> None:
@@ -528,25 +539,19 @@ def encoder(arms: Arms, counts: Floats) -> None:
     arms.encoder[:] = fewer
 
 
-@_family("observation-noise", "of each number", "noise of observed numbers, {}", 0.1, **_STD)
-def observation_noise(arms: Arms, std: Floats) -> None:
-    """White noise of each number of the observation, of this standard deviation, alike for all."""
-    _add_variance(arms.observation_noise, std)
-
-
-@_family("dropped-numbers", "probability", "observed numbers 0 with probability {}", 0.1, **_CHANCE)
+@_senses("dropped-numbers", "probability", "observed numbers 0 with probability {}", 0.1, **_CHANCE)
 def dropped_numbers(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """Each number of the observation is 0 now and then, for so many control steps."""
     _happen(arms, "number_dropped", probability, steps)
 
 
-@_family("held-numbers", "probability", "observed numbers kept with probability {}", 0.3, **_CHANCE)
+@_senses("held-numbers", "probability", "observed numbers kept with probability {}", 0.3, **_CHANCE)
 def held_numbers(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """Each number of the observation stays as it was now and then, for so many control steps."""
     _happen(arms, "number_held", probability, steps)
 
 
-@_family(
+@_senses(
     "repeated-observations",
     "probability",
     "observations repeated with probability {}",
@@ -556,24 +561,6 @@ def held_numbers(arms: Arms, probability: Floats, steps: Any = 1) -> None:
 def repeated_observations(arms: Arms, probability: Floats, steps: Any = 1) -> None:
     """An observation is sent again now and then, so many times more."""
     _happen(arms, "observation_repeated", probability, steps)
-
-
-GROUPS = {
-    "cursor": "rotation gain mirror clamp cursor-jump cursor-shift base-shift base-turn",
-    "geometry": "longer shorter obstacles",
-    "loads and forces": "hand-mass segment-mass force-field gravity channel",
-    "locks": "locked locks",
-    "motors": "motor-gain motor-offset dead-zone backlash action-noise action-noise-size "
-    "action-delay dropped-actions held-actions repeated-actions stuck-motor torque-limit "
-    "servo-gain",
-    "senses": "joint-noise joint-noise-speed vision-noise vision-noise-distance observation-noise "
-    "delay vision-delay no-feedback endpoint-feedback sensor-offset sensor-drift stuck-sensor "
-    "encoder dropped-numbers held-numbers repeated-observations",
-}
-"""The names of the families of this package, by the place where they act."""
-_UNORDERED = dict(FAMILIES)
-FAMILIES.clear()
-FAMILIES.update({name: _UNORDERED[name] for names in GROUPS.values() for name in names.split()})
 
 
 def _factors(arms: Arms, factor: Floats, of: Any) -> Floats:
@@ -588,6 +575,10 @@ def _happen(arms: Arms, column: str, probability: Floats, steps: Any) -> None:
     probabilities, durations = getattr(arms, column), getattr(arms, f"{column}_steps")
     probabilities[:] = 1 - (1 - probabilities) * (1 - probability)
     durations[:] = np.maximum(durations, steps)
+
+
+def _add_variance(std: Floats, more: Floats) -> None:
+    std[:] = np.where(std == 0.0, more, np.sqrt(std * std + more * more))
 
 
 # The same in the units of code: lengths as factors, times in seconds, joints as indices.

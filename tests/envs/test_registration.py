@@ -26,7 +26,7 @@ from mmc_gym.benchmark.suite import SCENARIOS, SUITES, find_scenarios
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs import perturbations as kinds
 from mmc_gym.envs.names import TASKS, environment_id, parse_change
-from mmc_gym.envs.perturbations import FAMILIES, GROUPS, OneOf, Timed, VisuomotorRotation
+from mmc_gym.envs.perturbations import FAMILIES, OneOf, Timed, VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import parse_scenario
 from mmc_gym.envs.tasks import DoubleStep, PointToPoint
@@ -185,7 +185,8 @@ def test_every_task_has_an_id_and_all_of_the_benchmark_have_names_of_the_grammar
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
     for names in SUITES.values():
         assert tuple(find_scenarios(names)) == names
-    new_families = {*GROUPS["motors"].split(), "stuck-sensor", "encoder", "dropped-numbers"}
+    motors = {name for name, family in FAMILIES.items() if family.group == "motors"}
+    new_families = {*motors, "stuck-sensor", "encoder", "dropped-numbers"}
     assert new_families <= {parse_scenario(name).family for name in SUITES["faults"]}
 
 
