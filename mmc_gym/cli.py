@@ -191,7 +191,7 @@ def benchmark(
     jobs: OtherNumber = None,
     cluster: Text = None,
     interface: Text = None,
-    protocol: Annotated[Literal["", "generalisation"], _arg("generalisation")] = "",
+    protocol: Annotated[Literal["", "generalisation", "kinds"], _arg("NAME")] = "",
     suite: Annotated[Literal["", "standard", "faults", "realworld"], _arg("NAME")] = "",
     more: PlayOptions = PLAYED,
 ) -> None:
@@ -208,19 +208,21 @@ def benchmark(
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster.
         interface: Of your own environments, see compare.
-        protocol: Scenarios inside, between and beyond the ranges that the
-            first agent trained on some was trained on, and combined.
+        protocol: generalisation: strengths inside, between and beyond the first
+            trained ranges. kinds: groups that trainings met, or did not.
         suite: standard, faults or realworld: scenarios played besides.
     """
     from mmc_gym.agents import AGENTS, REFERENCE, resolve_all
-    from mmc_gym.benchmark import generalisation, ranking, runner
+    from mmc_gym.benchmark import generalisation, kinds, ranking, runner
     from mmc_gym.benchmark.suite import SUITES
 
     shared = {**more.load(), "interface": interface}
     failed: list[str] = []
     ranked = [name for name, entry in AGENTS.items() if entry.is_ranked]
     agents = agents or (*ranked, REFERENCE)
-    if protocol:
+    if protocol == "kinds":
+        scenarios = (*scenarios, *kinds.protocol())
+    elif protocol:
         resolved_agents = resolve_all(agents, allow_pickle=shared["allow_pickle"])
         cards = [agent.card for agent in resolved_agents]
         scenarios = (*scenarios, *generalisation.protocol(cards))
@@ -323,6 +325,7 @@ def train(
     on: Text = None,
     seed: Number = 0,
     steps: OtherNumber = None,
+    without: Annotated[str | None, _arg("GROUP")] = None,
     out: OtherPlace = None,
     resume: Switch = False,
     tensorboard: OtherPlace = None,
@@ -337,6 +340,7 @@ def train(
         on: Perturbations to train under, drawn for each episode from ranges: rotation--60..60.
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
+        without: A group of perturbations to leave out, such as motors.
         out: Folder for checkpoint and policy; runs/NAME-SEED, if not given.
         resume: Continue from the checkpoint in the folder, or begin if there is none.
         tensorboard: Folder for TensorBoard's logs.
@@ -351,9 +355,11 @@ def train(
         require(bool(changes) and entry.name == "random", "on", on, accepted)
         shared["env_kwargs"]["perturbations"] = [change.name for change in changes]
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
+    from mmc_gym.benchmark.kinds import name_without
     from mmc_gym.training import training
 
-    folder = out or Path("runs") / file_stem(Path(name).stem, seed)
+    stem = Path(name).stem if without is None else name_without(Path(name).stem, without)
+    folder = out or Path("runs") / file_stem(stem, seed)
     checkpoint = folder / training.CHECKPOINT
     if resume and not checkpoint.exists():
         _print_line(f"nothing to resume, as there is no {checkpoint}: training begins")
@@ -369,7 +375,12 @@ def train(
                 )
 
         shared |= {"env": env, "seed": seed, "steps": steps, "out": folder, "resume": resume}
-        shared |= {"tensorboard": tensorboard, "device": device, "on_progress": report}
+        shared |= {
+            "without": without,
+            "tensorboard": tensorboard,
+            "device": device,
+            "on_progress": report,
+        }
         card = training.train(name, **shared).card
     print(
         f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "

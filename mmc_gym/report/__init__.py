@@ -115,6 +115,7 @@ def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
         "ranking": tables.ranking_table(results),
         "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
         "generalisation": tables.generalisation_table(results),
+        "kinds": tables.kinds_table(results),
         "given": tables.given_table(results),
         "failures": tables.failure_table(results),
         "tables": {name: tables.score_table(results, name) for name in results.environments},

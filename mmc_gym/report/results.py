@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -27,6 +27,7 @@ from mmc_gym.benchmark.generalisation import (
     place_of,
     trained_ranges,
 )
+from mmc_gym.benchmark.kinds import group_of
 from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
 from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap
 from mmc_gym.benchmark.store import (
@@ -39,6 +40,7 @@ from mmc_gym.benchmark.store import (
     require_all_cells,
 )
 from mmc_gym.envs.names import BASELINE
+from mmc_gym.envs.perturbations import GROUPS
 from mmc_gym.measures import Measure, leave_out_failures, words
 from mmc_gym.measures.catalogue import measures_of
 
@@ -47,6 +49,7 @@ REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
 SCORE_RESAMPLES = 500  # upper limit for single scenarios, whose tables have thousands of intervals
 
 ALL = "all scenarios"
+Sort = TypeVar("Sort", bound=str)
 
 
 @dataclass(frozen=True)
@@ -227,13 +230,23 @@ class Results:
     @cached_property
     def places(self) -> dict[Place, Bootstrap]:
         """The bootstrap of the agents' success in each place, over scenarios that all attempted."""
-        scores, places = self._attempted, {}
-        for place in PLACES:
-            names = [name for name, judged in self.judged.items() if judged.place == place]
+        places = {name: judged.place for name, judged in self.judged.items()}
+        return self._successes_by(PLACES, places)
+
+    @cached_property
+    def groups(self) -> dict[str, Bootstrap]:
+        """The bootstrap of the agents' success in each group of perturbations."""
+        return self._successes_by(GROUPS, {name: group_of(name) for name in self.environments})
+
+    def _successes_by(self, sorts: Iterable[Sort], of: Mapping[str, Sort]) -> dict[Sort, Bootstrap]:
+        """Return the bootstrap of success for each sort of scenarios that all attempted."""
+        scores, successes = self._attempted, {}
+        for sort in sorts:
+            names = [name for name in of if of[name] == sort]
             with suppress(UserError):  # no such scenario
                 ranked = ranked_scores(scores[scores["environment"].isin(names)])
-                places[place] = Bootstrap.of(ranked, "success", self.resamples)
-        return places
+                successes[sort] = Bootstrap.of(ranked, "success", self.resamples)
+        return successes
 
     @cached_property
     def _attempted(self) -> pd.DataFrame:

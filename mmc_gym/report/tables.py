@@ -11,6 +11,7 @@ import numpy as np
 
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, count, interval, number
 from mmc_gym.agents.registry import REFERENCE
+from mmc_gym.benchmark.kinds import trained_without
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.measures import MEASURES, Measure, words
 from mmc_gym.measures.catalogue import PEOPLE, people, span
@@ -119,10 +120,7 @@ def generalisation_table(results: Results) -> Table | None:
         return None
     rows = []
     for agent in (label for label in results.agents if label != REFERENCE):
-        cells = []
-        for successes in places.values():
-            regret = "" if agent == best else _signed(*successes.difference(best, agent))
-            cells.append(Cell.of(_SUCCESS.number(successes.estimate(agent).estimate), regret))
+        cells = [_judged(successes, agent, best) for successes in places.values()]
         lost = {
             name: results.successes[name].difference(best, agent).estimate
             for name in results.judged
@@ -131,17 +129,56 @@ def generalisation_table(results: Results) -> Table | None:
         most = sorted(lost, key=lambda name: -lost[name])[:_LOST]
         texts = [f"{name} {_signed(lost[name])}" for name in most if lost[name] > 0]
         rows.append(_row(results, agent, (*cells, Cell(", ".join(texts) or "nowhere"))))
-    headings = [
-        Heading(place, count(len(successes.scores.instances), "scenario"))
-        for place, successes in places.items()
-    ]
     return Table(
-        headings=(Heading("agent"), *headings, Heading("loses most in", is_text=True)),
+        headings=(*_sorts(places), Heading("loses most in", is_text=True)),
         rows=tuple(rows),
         caption=words.GENERALISATION.format(best=best),
         title="Strengths that a training never had",
         look="scores",
     )
+
+
+def kinds_table(results: Results) -> Table | None:
+    """Return success and regret by group of perturbations; None if no training lacks a group.
+
+    Trainings without a group share a row, in which each is judged on the group that it lacks.
+    """
+    best, agents = results.yardstick, [name for name in results.agents if name != REFERENCE]
+    without = {agent: trained_without(agent, agents) for agent in agents}
+    partial = {name for names in without.values() for name in names.values()}
+    rows = []
+    for agent in (name for name in agents if partial and name not in partial):
+        for label, names in ((agent, {}), (f"{agent}, never met", without[agent])):
+            cells = [
+                _judged(successes, names.get(group, agent), best)
+                for group, successes in results.groups.items()
+                if label == agent or group in names
+            ]
+            if len(cells) == len(results.groups):
+                rows.append(_row(results, label, cells))
+    if not rows:
+        return None
+    return Table(
+        headings=_sorts(results.groups),
+        rows=tuple(rows),
+        caption=words.KINDS.format(best=best),
+        title="Kinds that a training never had",
+        look="scores",
+    )
+
+
+def _sorts(successes: Mapping[Any, Bootstrap]) -> tuple[Heading, ...]:
+    """Return the headings of a table by sorts of scenarios, with their numbers."""
+    sizes = {
+        sort: count(len(each.scores.instances), "scenario") for sort, each in successes.items()
+    }
+    return Heading("agent"), *(Heading(sort, size) for sort, size in sizes.items())
+
+
+def _judged(successes: Bootstrap, agent: str, best: str) -> Cell:
+    """Return an agent's success, and by how much that of the best exceeds it."""
+    regret = "" if agent == best else _signed(*successes.difference(best, agent))
+    return Cell.of(_SUCCESS.number(successes.estimate(agent).estimate), regret)
 
 
 def given_table(results: Results) -> Table:

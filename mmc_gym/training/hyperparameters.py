@@ -50,6 +50,7 @@ from mmc_gym._errors import (
     explain,
     require,
     require_arguments,
+    require_choice,
     require_known,
     require_whole,
     shown,
@@ -57,6 +58,10 @@ from mmc_gym._errors import (
 )
 from mmc_gym._files import read_yaml_file
 from mmc_gym.agents.policy import ALGORITHMS
+from mmc_gym.benchmark.kinds import name_without
+from mmc_gym.envs.changes import AnyChange, OneOf
+from mmc_gym.envs.names import as_changes, as_plain
+from mmc_gym.envs.perturbations import GROUPS
 from mmc_gym.training.policies import ACTIVATIONS, TQCGoalPolicy
 from mmc_gym.training.vec_env import Memory
 
@@ -85,6 +90,27 @@ class Recipe:
     def with_changes(self, **changes: Any) -> Recipe:
         """Return the recipe with other hyperparameters."""
         return replace(self, hyperparameters={**self.hyperparameters, **changes})
+
+    def without(self, group: str) -> Recipe:
+        """Return the recipe without the perturbations of a group, see `GROUPS`."""
+        require_choice("without", group, GROUPS)
+        arguments = self.hyperparameters.get("env_kwargs") or {}
+        kept: list[AnyChange] = []
+        changes = as_changes(arguments.get("perturbations", ()))
+        for change in changes:
+            options = change.options if isinstance(change, OneOf) else (change,)
+            weights = change.weights if isinstance(change, OneOf) else (1.0,)
+            pairs = zip(options, weights, strict=True)
+            left = [(o, w) for o, w in pairs if not (o and o.family.group == group)]
+            names = [option for option, _ in left]
+            if len(left) > 1:
+                kept.append(OneOf(*names, weights=[weight for _, weight in left]))
+            else:
+                kept += filter(None, names)
+        accepted = f"the group of some, but not all, perturbations of {self.name}"
+        require(bool(kept) and kept != changes, "without", group, accepted)
+        recipe = self.with_changes(env_kwargs={**arguments, "perturbations": as_plain(kept)})
+        return replace(recipe, name=name_without(self.name, group))
 
     @property
     def algorithm(self) -> str:

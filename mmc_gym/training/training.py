@@ -263,6 +263,7 @@ def train(
     env: str | None = None,
     seed: int = 0,
     steps: int | None = None,
+    without: str | None = None,
     out: Path | str | None = None,
     resume: bool = False,
     tensorboard: Path | str | None = None,
@@ -280,6 +281,7 @@ def train(
         FileExistsError: if the folder holds a training, and `resume` is not set.
     """
     recipe = read_recipe(str(name), env, steps, env_kwargs)
+    recipe = recipe if without is None else recipe.without(without)
     with tempfile.TemporaryDirectory() as nowhere:
         folder = check_folder(nowhere if out is None else out, "out")
         training = Training(

@@ -3,8 +3,9 @@
 A policy that has to identify noise, delays and its body from a memory learns slowly from rewards.
 One that is shown what was drawn, such as `ppo-context`, learns fast, and can say in any state what
 it would do.  So its student acts, and learns from its memory to do what this teacher would if its
-senses were neither late nor noisy.  It minimizes weighted squared errors on the states that the
-student itself visits (dataset aggregation with the latest episodes only).
+senses were in order.  Where actions are late, it learns what its teacher would do when they arrive.
+It minimizes weighted squared errors on the states that the student itself visits (dataset
+aggregation with the latest episodes only).
 
     mmc-gym train studies/learners/ppo-teacher.yml    # 2 minutes
     python -m studies.learners.ppo_memory             # 2.5
@@ -40,6 +41,7 @@ from mmc_gym.agents.policy import (
 )
 from mmc_gym.agents.policy_network import History, PolicyNetwork
 from mmc_gym.envs.names import parse_change
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.interface import ReachInterface, relative_speeds
 from mmc_gym.training.policies import export_network
 from mmc_gym.training.training import evaluate_policy
@@ -49,9 +51,10 @@ Float32 = NDArray[np.float32]
 TEACHER = Path("runs/ppo-teacher-0/ppo-teacher-0.json")
 TASKS = {"MMCReach-v0": 800, "MMCReachPursuit-v0": 192, "MMCReachDoubleStep200-v0": 32}
 """Arms of each task: some targets move or jump, so that the student has met both."""
-SENSES = "delay", "joint-noise", "vision-noise"  # the teacher acts as if there were none
-OFTEN = {"delay": 4.0, "locked": 3.0, "locks": 3.0, "vision-noise": 3.0}
-"""Weights of families among all that are drawn; the others have 1."""
+HIDDEN = {"action-delay", *(name for name in FAMILIES if FAMILIES[name].group == "senses")}
+"""The teacher acts as if there were none of these."""
+OFTEN = {"delay": 4.0, "action-delay": 4.0, "vision-noise": 3.0}
+"""How much more often families are drawn than the teacher's options say; the others are not."""
 BLOCKS = (1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 4, 4, 4, 10, 10, 20)  # steps in each of the memory
 STEPS, BATCH, EPOCHS, LEARNING_RATE, LAYERS, EVALUATIONS = 100, 1024, 2, 1e-3, (256, 128), 12
 AHEAD, JUMP = 2, 0.3
@@ -75,7 +78,8 @@ def episodes_of(
 ) -> tuple[Float32, Float32]:
     """Let the student act for an episode; return what it sees, and true observations.
 
-    These are followed by the context, and have targets of `AHEAD` steps later.
+    These are followed by the context, and have targets of `AHEAD` steps later.  Where actions are
+    late, they are those at the time when the action arrives.
     """
     size, setup = history.layout.size, env.setup
     observation, info = env.reset()
@@ -95,7 +99,10 @@ def episodes_of(
     target = np.where(np.abs(later - now).max(axis=-1, keepdims=True) < JUMP, later, now)
     shown = setup.layout.encode(angles, speeds, hand=hands, target=target)
     context = np.broadcast_to(observation[:, size:], (STEPS, *observation[:, size:].shape))
-    return np.array(seen), np.concatenate((shown, context), axis=-1, dtype=np.float32)
+    shown = np.concatenate((shown, context), axis=-1, dtype=np.float32)
+    late = np.nan_to_num(info["context"].get("action-delay", np.zeros(len(observation)))) / 1000
+    arrival = np.arange(STEPS)[:, None] + np.rint(late / setup.control_step).astype(int)
+    return np.array(seen), shown[np.minimum(arrival, STEPS - 1), np.arange(len(observation))]
 
 
 def teach(
@@ -109,9 +116,11 @@ def teach(
     options = card.context[0]["one_of"]
     changes = [option and parse_change(option) for option in options]
     families = [change.family.name if change and change.family else "" for change in changes]
-    mixture = {"one_of": options, "weights": [OFTEN.get(family, 1.0) for family in families]}
+    weights = card.context[0].get("weights") or [1.0] * len(options)
+    weights = [OFTEN.get(family, 1.0) * w for family, w in zip(families, weights, strict=True)]
+    mixture = {"one_of": options, "weights": weights}
     # The context has these columns twice: for options, then for their strengths.
-    is_shown = np.tile([family not in SENSES for family in families if family], 2)
+    is_shown = np.tile([family not in HIDDEN for family in families if family], 2)
     arguments: Any = {"engine": "analytic", "perturbations": [mixture], "observe_context": True}
     envs = [gym.make_vec(name, count, **arguments).unwrapped for name, count in TASKS.items()]
     for env in envs:

@@ -74,6 +74,31 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
     assert arguments == {"engine": "analytic", "control": "joint_velocity"}
 
 
+def test_a_recipe_without_a_group_draws_the_others_with_their_weights():
+    drawn = {
+        "one_of": ["locked-1..3", None, "rotation-0..30", "locks-1..3"],
+        "weights": [1, 2, 3, 4],
+    }
+    arguments = {"engine": "analytic", "perturbations": ["longer-0..20", drawn]}
+    recipe = recipe_of(env_kwargs=arguments)
+    without = {group: recipe.without(group) for group in ("locks", "geometry", "cursor")}
+    drawn = {key: each.settings["env_kwargs"]["perturbations"] for key, each in without.items()}
+    rest = {"one_of": [None, "rotation-0..30"], "weights": [2.0, 3.0]}
+    assert drawn["locks"] == ["longer-0..20", rest]
+    assert drawn["geometry"] == [arguments["perturbations"][1]]
+    assert drawn["cursor"][1]["one_of"] == ["locked-1..3", None, "locks-1..3"]
+    assert [each.name for each in without.values()] == [f"ppo-mine-without-{key}" for key in drawn]
+    assert recipe.settings["env_kwargs"] == arguments
+    for refused, group in (
+        (recipe, "motors"),
+        (recipe.without("locks").without("cursor"), "geometry"),
+    ):
+        with pytest.raises(UserError, match="without must be the group of some, but not all"):
+            refused.without(group)
+    with pytest.raises(UserError, match=r"without 'motor' .* cursor, geometry, loads"):
+        recipe.without("motor")
+
+
 def test_a_file_that_holds_something_else_is_an_error(tmp_path):
     path = tmp_path / "ppo.yaml"
     for content, message in {
