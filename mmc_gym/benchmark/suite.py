@@ -84,6 +84,8 @@ repeated-observations-0.3 repeated-observations-0.6 repeated-observations-0.9
 cursor-shift-0.1 cursor-shift-0.2 cursor-shift-0.4
 base-turn-10 base-turn-20 base-turn-40
 segment-mass-2 segment-mass-4 segment-mass-8
+joint-friction-0.3 joint-friction-0.6 joint-friction-0.9
+joint-damping-0.3 joint-damping-0.6 joint-damping-0.9
 """
 SUITES: dict[str, tuple[str, ...]] = {
     "standard": tuple(SCENARIOS),

@@ -37,6 +37,8 @@ _RANGES = {
     "segment_radius": (SMALLEST_SIZE, LARGEST_SIZE),
     "substep": (SMALLEST_SIZE, 1.0),
     "drive_inertia": (0.0, LARGEST_SIZE),
+    "joint_friction": (0.0, 1e30),
+    "joint_damping": (0.0, 1e30),
     "hand_mass": (0.0, LARGEST_SIZE),
 }
 
@@ -84,6 +86,10 @@ class ArmParameters:
     #: inertia of each drive, as a fraction of that of the stretched arm from its joint on; 0 for
     #: bare rods
     drive_inertia: float = 0.25
+    #: dry friction (Coulomb's), the torque against the movement of each joint, mass · length² / s²;
+    #: it holds joints at rest
+    joint_friction: float = 0.0
+    joint_damping: float = 0.0  #: viscous friction, torque per speed, mass · length² / s
     hand_mass: float = 0.0  #: point mass carried at the hand, mass
     #: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the hand is
     #: `force_field` · (velocity of the hand).  Engines refuse a field stronger than
@@ -147,6 +153,11 @@ class ArmParameters:
     def masses(self) -> tuple[float, ...]:
         """`segment_masses` with its default filled in."""
         return self.segment_masses or (1.0,) * len(self.segment_lengths)
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether friction brakes its joints."""
+        return self.joint_friction > 0.0 or self.joint_damping > 0.0
 
     @property
     def rods(self) -> tuple[Rod, ...]:

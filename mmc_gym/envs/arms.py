@@ -45,6 +45,8 @@ class Arms:
     torque_limit: Floats  #: (n,)
     servo_gain: Floats  #: (n,)
     drive_inertia: Floats  #: (n,)
+    joint_friction: Floats  #: dry friction of the joints, (n,)
+    joint_damping: Floats  #: viscous friction of the joints, (n,)
     segment_radius: Floats  #: (n,)
     substep: Floats  #: (n,)
     substeps: NDArray[np.intp]  #: (n,)
@@ -243,7 +245,7 @@ _OF_JOINTS = ("motor_offset", "joint_offset", "joint_drift")
 _STUCK = ("motor_stuck", "joint_stuck")
 _COLUMNS = tuple(field.name for field in fields(Arms) if field.name != "base")
 _NUMBERS = ["gravity", "hand_mass", "speed_limit", "torque_limit", "servo_gain", "drive_inertia"]
-_NUMBERS += ["segment_radius", "substep", "substeps"]
+_NUMBERS += ["joint_friction", "joint_damping", "segment_radius", "substep", "substeps"]
 _OF_BODY = frozenset(
     (*_NUMBERS, "segment_lengths", "segment_masses", "joint_limits", "force_field", "obstacles")
 )

@@ -277,6 +277,43 @@ def Channel(arms: Arms, curl: Floats) -> None:
     arms.channel[:] = np.nan_to_num(arms.channel) + curl
 
 
+@_loads(
+    "joint-friction",
+    "of the largest torque",
+    "joints rub with {} of the largest torque",
+    0.3,
+    neutral=0.0,
+    low=0.0,
+    high=LARGEST_SIZE,
+    begins=False,
+)
+def joint_friction(arms: Arms, share: Floats) -> None:
+    """Dry friction brakes all joints with this share of the servos' largest torque.
+
+    It is Coulomb's: the same at any speed, and it holds joints at rest.  See Armstrong-Hélouvry,
+    Dupont & Canudas de Wit (1994), Automatica 30:1083.
+    """
+    arms.joint_friction += share * arms.base.torque_limit
+
+
+@_loads(
+    "joint-damping",
+    "of the largest torque",
+    "joints braked by {} of the largest torque at full speed",
+    0.3,
+    neutral=0.0,
+    low=0.0,
+    high=LARGEST_SIZE,
+    begins=False,
+)
+def joint_damping(arms: Arms, share: Floats) -> None:
+    """Viscous friction grows with a joint's speed to this share of the largest torque.
+
+    It has that share at the largest speed that servos ask for.
+    """
+    arms.joint_damping += share * arms.base.torque_limit / arms.base.speed_limit
+
+
 # Locks: joints that become rigid.
 
 

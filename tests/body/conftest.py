@@ -16,6 +16,13 @@ CONDITIONS = {
     "one segment": ArmParameters(segment_lengths=(0.7,), gravity=(0.0, -9.81)),
     "limits, locks": ArmParameters(joint_limits=LIMITS, lockable_joints=(1, 2)),
     "field": ArmParameters(hand_mass=1.5, force_field=FIELD),
+    "friction": ArmParameters(
+        joint_friction=60.0,
+        joint_damping=10.0,
+        joint_limits=LIMITS,
+        force_field=FIELD,
+        lockable_joints=(1,),
+    ),
     "everything": ArmParameters(
         segment_lengths=(1.5, 1.0, 0.4),
         segment_masses=(2.0, 0.5, 0.1),

@@ -154,6 +154,25 @@ def test_a_servo_asks_for_the_speed_that_its_gain_states(engine):
     assert rate == pytest.approx(5.0, rel=1e-4)
 
 
+def test_dry_friction_stops_a_joint_and_holds_it_until_a_torque_exceeds_it(engine):
+    arm = arm_of(engine, "torque", segment_lengths=(1.0,), joint_friction=2.0)
+    inertia = 1 / 3 * (1 + arm.parameters.drive_inertia)
+    arm.reset([0.0], [3.0])
+    angles = drive(arm, [0.0], 50)
+    assert angles[-1] == pytest.approx(inertia * 3.0**2 / (2 * 2.0), rel=0.02)
+    assert angles[-10:] == pytest.approx(angles[-1], abs=1e-6)
+    assert drive(arm, [1.9], 50)[-1] == pytest.approx(angles[-1], abs=1e-6)
+    assert drive(arm, [-2.1], 50)[-1] < angles[-1] - 0.1
+
+
+def test_viscous_friction_slows_a_joint_exponentially(engine):
+    arm = arm_of(engine, "torque", segment_lengths=(1.0,), joint_damping=1.0)
+    arm.reset([0.0], [3.0])
+    drive(arm, [0.0], 25)
+    inertia = 1 / 3 * (1 + arm.parameters.drive_inertia)
+    assert arm.joint_velocities[0] == pytest.approx(3.0 * math.exp(-0.5 / inertia), rel=0.02)
+
+
 @given(start=st.floats(-math.pi, math.pi), target=st.floats(-20.0, 20.0))
 @settings(max_examples=20)
 def test_a_position_servo_turns_the_short_way_round(engine, start, target):

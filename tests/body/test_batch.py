@@ -50,6 +50,7 @@ def drawn(parameters, random, count, heaviest):
     values = {
         "segment_lengths": random.uniform(0.5, 1.5, (3, count)),
         "hand_mass": random.uniform(0, heaviest, count),
+        "joint_friction": random.uniform(0, 50 * heaviest, count) * random.integers(0, 2, count),
         "gravity": random.uniform(-30, 30, (2, count)),
         "speed_limit": random.uniform(3, 7, count),
         "torque_limit": random.uniform(200, 700, count),
@@ -128,9 +129,11 @@ def test_threads_change_nothing(engine, count, arm, servo):
 @pytest.mark.parametrize("heaviest", [0.0, 2.0], ids=["without loads", "with loads"])
 @pytest.mark.parametrize("arm", [{}, ROUGH], ids=["default", "rough"])
 def test_arms_that_differ_move_as_single_ones_with_their_parameters(engine, arm, heaviest, servo):
-    """Lengths, loads, field, gravity, limits, gain and locks, drawn anew at partial resets."""
+    """Lengths, loads, friction, field, gravity, limits, gain and locks, drawn anew at resets."""
     parameters = replace(ArmParameters(**arm), lockable_joints=(0, 1, 2))
-    other = replace(parameters, gravity=(0.0, 30.0), hand_mass=heaviest)
+    other = replace(
+        parameters, gravity=(0.0, 30.0), hand_mass=heaviest, joint_friction=50 * heaviest
+    )
     play_both((engine, parameters), servo, 37, 30, others=[parameters, other])
 
 

@@ -36,6 +36,7 @@ class Lagrangian:
         self.b = masses @ levers
         self.lengths, self.gravity = lengths, p.gravity
         self.field = np.zeros((2, 2)) if p.force_field is None else np.array(p.force_field)
+        self.friction, self.damping = p.joint_friction, p.joint_damping
         self.pull = np.array(torques) - np.append(torques[1:], 0.0)
         self.hold = np.zeros((0, count))
         if held is not None:
@@ -60,6 +61,9 @@ class Lagrangian:
         forces = self.pull + self.b * (y * np.cos(angles) - x * np.sin(angles))
         forces = forces + across @ (self.field @ (speeds @ across))
         forces = forces - (self.c * np.sin(difference)) @ speeds**2
+        turning = np.diff(speeds, prepend=0.0)
+        friction = self.friction * np.sign(turning) + self.damping * turning
+        forces = forces - friction + np.append(friction[1:], 0.0)
         rows = len(self.hold)
         matrix = np.block(
             [[self.c * np.cos(difference), self.hold.T], [self.hold, np.zeros((rows, rows))]]
@@ -83,6 +87,8 @@ CASES = {
     "hanging": ({"gravity": (0.3, -9.81)}, [12.0, -7.0, 2.0], SPEEDS, None),
     "in the field": ({"force_field": ((0.0, 20.0), (-20.0, 0.0))}, [12.0, -7.0, 2.0], SPEEDS, None),
     "in honey": ({"force_field": ((-6.0, 0.0), (0.0, -6.0))}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "oiled": ({"joint_damping": 3.0}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "rubbing": ({"joint_friction": 1.5, "joint_damping": 0.5}, [12.0, -7.0, 2.0], SPEEDS, None),
     "of five": ({"segment_lengths": (0.5,) * 5}, [1.0, 0.0, -0.5, 1.0, 0.0], FIVE, None),
 }
 
@@ -115,9 +121,11 @@ CONVERGED = {
     "velocity": ({}, "velocity"),
     "torque": ({}, "torque"),
     "torque, locks": ({"lockable_joints": (1,)}, "torque"),
+    "friction": ({"joint_friction": 100.0, "joint_damping": 20.0}, "position"),
+    "friction, torque": ({"joint_friction": 30.0, "gravity": (0.0, -10.0)}, "torque"),
     "field": ({"force_field": ((0.0, 60.0), (-60.0, 0.0))}, "position"),
 }
-BY_DAY = {*CONVERGED} - {"locks", "gravity", "hand mass 1", "torque"}
+BY_DAY = {*CONVERGED} - {"locks", "gravity", "hand mass 1", "torque", "friction, torque"}
 
 
 @pytest.mark.parametrize("case", by_night(CONVERGED, BY_DAY))

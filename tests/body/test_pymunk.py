@@ -32,9 +32,24 @@ class PublicArm(PymunkArm):
     """The same arm, driven and stepped through pymunk's public interface."""
 
     def step(self):
-        for _ in range(self.parameters.substeps):
-            self._space.step(self.parameters.substep)
+        p, segments = self.parameters, self._linkage.segments
+        for _ in range(p.substeps):
+            speeds = np.diff([body.angular_velocity for body in segments], prepend=0.0)
+            for brake, speed in zip(self.brakes, speeds.tolist()):
+                brake.max_force = p.joint_friction + p.joint_damping * abs(speed)
+            self._space.step(p.substep)
         self._read()
+
+    @property
+    def brakes(self):
+        """The constraints that brake the joints, from the base outward."""
+        handles = self._linkage.brakes
+        return [
+            joint
+            for handle in handles
+            for joint in self._space.constraints
+            if joint._constraint == handle
+        ]
 
     def _set_servos(self, values):
         p = self.parameters

@@ -26,7 +26,12 @@ from typing_extensions import override
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters, SingleArm
-from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
+from mmc_gym.body.parameters import (
+    ArmColumns,
+    ArmParameters,
+    Servo,
+    stacked,
+)
 
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
@@ -58,7 +63,7 @@ def _make_records(segments: int, count: int) -> tuple[Records, Records, Records]
     shown = np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
     names = (
         "sine cosine free_x free_y demand turn lowest highest stop_above stop_below load_x load_y "
-        "needed bound moment_x moment_y right inverse excess"
+        "grip drag friction needed bound moment_x moment_y right inverse excess"
     )
     fields = _fields(names, segments, lanes)
     fields += _fields("push_x push_y push_turn velocity_x velocity_y changed is_done", lanes)
@@ -70,9 +75,10 @@ def _make_chain(parameters: ArmParameters, servo: Servo, lanes: int) -> Records:
     """Return the record of a block of equal arms: segments, each with the joint before it."""
     p, count = parameters, len(parameters.segment_lengths)
     fields = _fields("length mass centre inertia lowest_angle highest_angle", count, lanes)
-    fields += _fields("speed_limit torque_limit gain", lanes)
+    fields += _fields("speed_limit torque_limit gain joint_friction joint_damping", lanes)
     fields += _fields("gravity", 2, lanes) + _fields("field", 2, 2, lanes)
-    chain = np.zeros(1, fields + _fields("substep stop_gain is_position is_torque has_field"))
+    fields += _fields("substep stop_gain is_position is_torque has_field has_friction")
+    chain = np.zeros(1, fields)
     chain["substep"] = p.substep
     chain["stop_gain"] = -math.expm1(-_STOP_RATE * p.substep) / p.substep
     chain["is_position"], chain["is_torque"] = servo == "position", servo == "torque"
@@ -95,6 +101,8 @@ def _write(chain: Records, blocks: Indices, lanes: Indices, p: ArmParameters) ->
         "highest_angle": stacked(highest),
         "speed_limit": p.speed_limit,
         "torque_limit": p.torque_limit,
+        "joint_friction": p.joint_friction,
+        "joint_damping": p.joint_damping,
         "gain": np.divide(decays, p.substep),
         "gravity": stacked(p.gravity),
         "field": (of_rows := stacked([*field[0], *field[1]])).reshape(*of_rows.shape[:-1], 2, 2),
@@ -102,6 +110,8 @@ def _write(chain: Records, blocks: Indices, lanes: Indices, p: ArmParameters) ->
     for name, value in values.items():
         chain[name][blocks, ..., lanes] = value
     chain["has_field"] = chain["field"].any(axis=(1, 2, 3))
+    rubs = chain["joint_friction"] + chain["joint_damping"]
+    chain["has_friction"] = rubs.any(axis=1)
 
 
 def _independence(parameters: ArmParameters) -> float:

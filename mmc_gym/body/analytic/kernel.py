@@ -21,6 +21,10 @@ recursive Newton–Euler).  Then
     λ = needed + M z,   lowest ≤ λ ≤ highest,   z = 0 where λ is between its bounds,
     z ≤ 0 where λ is at the highest and z ≥ 0 where it is at the lowest.
 
+Friction of a torque f adds ±h f to what is needed where a joint slides.  Where a joint rests, its
+friction is a drag on the diagonal of M that leaves no speed.  A joint that would slide back rests,
+and one whose rest takes more than h f slides (`_rub`).
+
 M is positive definite, so there is one solution.  `_limit` finds it by principal pivoting: guess
 which joints are at a bound, solve, change the guess (Júdice & Pires 1994, Computers & Operations
 Research 21, 587–596).  A joint thrown against its stop while its servo is at a bound is a further
@@ -48,6 +52,8 @@ from mmc_gym._compiling import compiled, inner, sine_cosine
 
 # What binds a joint: nothing, a bound of its servo, or its stop while the servo is at a bound.
 FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0, 2.0
+_RESTS = 1e-6  # rad/s, the speed below which dry friction holds a joint
+_HOLD = 1e9  # impulse per speed, mass · length², that holds it
 _TINY = 1e-12  # rad/s: less is not worth another guess
 
 
@@ -133,18 +139,25 @@ def step(state, shown, chain, no_work, substeps):
         lanes = min(arms.angle.shape[1], shown.shape[0] - first)
         _look(arms, work, lanes)
         work.push_x[:] = work.push_y[:] = work.push_turn[:] = 0.0  # of another block, with a field
+        work.drag[:] = work.friction[:] = 0.0
+        has_friction = c.has_friction > 0.0
         for _ in range(substeps):
             _move(arms, work, c, lanes)
+            if has_friction:
+                _slide(arms, work, c, lanes)
             if c.has_field > 0.0:
                 _weigh(work, c, lanes)
                 _push(arms, work, c, lanes)
             _ask(arms, work, c, lanes)
-            if _need(arms, work, c, lanes):
-                _guess(arms, work, c, lanes)
-                _weigh(work, c, lanes)
-                _limit(work, lanes)
-            else:
-                work.bound[:] = FREE
+            for _ in range(2 * arms.angle.shape[0] + 2 if has_friction else 1):
+                if _need(arms, work, c, lanes):
+                    _guess(arms, work, c, lanes)
+                    _weigh(work, c, lanes)
+                    _limit(work, lanes)
+                else:
+                    work.bound[:] = FREE
+                if not has_friction or not _rub(work, lanes):
+                    break
             _turn(arms, work, lanes)
         _show(arms, work, c, shown[first : first + lanes])
 
@@ -184,6 +197,37 @@ def _move(arms, work, chain, lanes):
             arms.angle[i, k] = angle
             work.sine[i, k] = new_sine
             work.cosine[i, k] = new_cosine
+
+
+@inner
+def _slide(arms, work, chain, lanes):
+    """Let joints slide on as before, or rest: find the impulse of their friction, or their drag."""
+    for i in range(arms.angle.shape[0]):
+        for k in range(lanes):
+            speed = _between(arms.speed, i, k)
+            torque = chain.joint_friction[k] + chain.joint_damping[k] * abs(speed)
+            impulse = chain.substep * torque
+            rests = (impulse > 0.0) & (abs(speed) < _RESTS)
+            work.grip[i, k] = impulse
+            work.friction[i, k] = 0.0 if rests else impulse if speed > 0.0 else -impulse
+            work.drag[i, k] = _HOLD if rests else 0.0
+
+
+@inner
+def _rub(work, lanes):
+    """Let joints rest that would slide back, and slide if their rest takes too much."""
+    changes = 0.0
+    for i in range(work.friction.shape[0]):
+        for k in range(lanes):
+            grip, friction, drag = work.grip[i, k], work.friction[i, k], work.drag[i, k]
+            speed = work.demand[i, k] + work.excess[i, k]
+            slides = drag * abs(speed) > grip
+            rests = friction * speed < 0.0
+            moving = grip if speed > 0.0 else -grip
+            work.friction[i, k] = moving if slides else 0.0 if rests else friction
+            work.drag[i, k] = _HOLD if rests else 0.0 if slides else drag
+            changes += 1.0 if slides | rests else 0.0
+    return changes > 0.0
 
 
 @inner
@@ -315,9 +359,10 @@ def _need(arms, work, chain, lanes):
             needed = needed + torque + inertia * (work.turn[i, k] - arms.speed[i, k])
             x += load_x
             y += load_y
-            work.needed[i, k] = needed
+            total = needed + (work.drag[i, k] * work.demand[i, k] + work.friction[i, k])
+            work.needed[i, k] = total
             work.excess[i, k] = 0.0
-            is_beyond = (needed > work.highest[i, k]) | (needed < work.lowest[i, k])
+            is_beyond = (total > work.highest[i, k]) | (total < work.lowest[i, k])
             beyond += 1.0 if is_beyond else 0.0
         work.changed[k] = beyond
     return work.changed[:lanes].any()
@@ -380,6 +425,7 @@ def _weigh(work, chain, lanes):
                 across = work.moment_y[j, k] * y
                 work.matrix[j, i, k] = work.matrix[j, j, k] + along + across
                 work.matrix[i, j, k] = work.matrix[j, i, k]
+            work.matrix[j, j, k] += work.drag[j, k]
 
 
 @inner

@@ -117,6 +117,7 @@ class PymunkArm(SingleArm):
         space, substep = self._space._space, self.parameters.substep
         field, walls, records = self._field, self._walls, self.records_effort
         is_pushed = field is not None or walls is not None
+        is_rubbed = self.parameters.has_friction
         if records:
             before = self._velocities()
             self.servo_impulses, self.servo_work = [0.0] * self._count, [0.0] * self._count
@@ -125,6 +126,8 @@ class PymunkArm(SingleArm):
         for _ in range(self.parameters.substeps):
             if is_pushed:
                 self._push_hand()
+            if is_rubbed:
+                self._linkage.rub()
             chipmunk.cpSpaceStep(space, substep)
             if field is not None:
                 self._yields = self._linkage.yields()

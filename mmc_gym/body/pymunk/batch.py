@@ -68,6 +68,7 @@ class ArmGroup:
         )
         #: whether forces stand for gravity
         self._is_pulled = gravities_differ and not self.is_apart
+        self._has_brakes = any(p.has_friction for p in every)
         self._shape = count, len(parameters.segment_lengths)
         spaces, arms_per_space = (count, 1) if self.is_apart else (1, count)
         self._segments_per_space = arms_per_space * self._shape[1]
@@ -84,10 +85,15 @@ class ArmGroup:
         self._scratch = pymunk.Space()  # empty but while impulses are forgotten
         self._scratch.iterations = 1
         by_arm = [space for space in self._spaces for _ in range(arms_per_space)]
-        self.linkages = [Linkage(space, parameters, servo, self.is_apart) for space in by_arm]
+        self.linkages = [self._link(space, parameters) for space in by_arm]
         self._collect()
 
+    def _link(self, space: pymunk.Space, parameters: ArmParameters) -> Linkage:
+        joints = {"has_ground": self.is_apart, "has_brakes": self._has_brakes}
+        return Linkage(space, parameters, self._servo, **joints)
+
     def _collect(self) -> None:
+        self._rubbed = [each for each in self.linkages if each.parameters.has_friction]
         self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
         self._bodies = [body for linkage in self.linkages for body, _, _ in linkage.rods]
         every = [linkage.parameters for linkage in self.linkages]
@@ -121,7 +127,7 @@ class ArmGroup:
         if self.walls is not None:
             self.walls.contacts[:] = 0.0
         is_pushed = self._field is not None or self.walls is not None or self._is_pulled
-        if not is_pushed and not effort:
+        if not is_pushed and not effort and not self._rubbed:
             simulate = chipmunk.cpSpaceStep
             for substeps, substep, space in self._paces:
                 for _ in range(substeps):
@@ -133,6 +139,8 @@ class ArmGroup:
         for number in range(self._substeps.max()):
             if is_pushed:
                 self._push(number)
+            for linkage in self._rubbed:
+                linkage.rub()
             for substeps, substep, space in self._paces:
                 if number < substeps:
                     chipmunk.cpSpaceStep(space, substep)
@@ -219,7 +227,7 @@ class ArmGroup:
                 linkage.parameters.obstacles or p.obstacles or not linkage.can_become(p)
             ):
                 self._spaces[member] = space = make_space(p)
-                self.linkages[member] = Linkage(space, p, self._servo, has_ground=True)
+                self.linkages[member] = self._link(space, p)
                 continue
             standing.append((linkage, space))
             if parameters is not None:

@@ -56,10 +56,20 @@ class Linkage:
     force_limits: list[float]  #: of `joint_handles`, with the locks open
 
     def __init__(
-        self, space: pymunk.Space, parameters: ArmParameters, servo: Servo, has_ground: bool = False
+        self,
+        space: pymunk.Space,
+        parameters: ArmParameters,
+        servo: Servo,
+        *,
+        has_ground: bool = False,
+        has_brakes: bool = False,
     ) -> None:
-        """Build the arm into `space`, with a ground for obstacles if there are or may be any."""
+        """Build the arm into `space`, with a ground and brakes if it has or may get any.
+
+        Obstacles stand on the ground, and brakes are the friction of the joints.
+        """
         self.parameters, self._servo = parameters, servo
+        self._has_brakes = has_brakes or parameters.has_friction
         #: bodies of the N segments; their origin is their centre of gravity
         self.segments: list[pymunk.Body] = []
         self.servos: list[pymunk.Constraint] = []  #: the N constraints that drive the joints
@@ -67,6 +77,7 @@ class Linkage:
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
         self.locked = False  #: whether these constraints are closed
         self.stops: list[Any] = []  #: handles of the joint limits, where there are any
+        self.brakes: list[Any] = []  #: handles of the joints' friction, where there may be any
         self._pivots: list[Any] = []  # handles
         # Every arm has its own base, a body outside of the Space.  The Space's static body would be
         # read and written by bulk calls.
@@ -95,7 +106,12 @@ class Linkage:
         """Return whether `change` takes these parameters: the arm has the joints they need."""
         locks = {joint for joint, _ in self.locks}
         has_limits = parameters.joint_limits is not None
-        return has_limits == bool(self.stops) and locks.issuperset(parameters.lockable_joints)
+        has_brakes = bool(self.brakes) or not parameters.has_friction
+        return (
+            has_brakes
+            and has_limits == bool(self.stops)
+            and locks.issuperset(parameters.lockable_joints)
+        )
 
     def change(self, parameters: ArmParameters) -> None:
         """Set all numbers; `place` has to follow."""
@@ -117,6 +133,8 @@ class Linkage:
         for stop, (low, high) in zip(self.stops, p.joint_limits or ()):
             chipmunk.cpRotaryLimitJointSetMin(stop, low)
             chipmunk.cpRotaryLimitJointSetMax(stop, high)
+        for brake in self.brakes:
+            chipmunk.cpConstraintSetMaxForce(brake, 0.0)
         self.unlock()
         self.force_limits = [*map(chipmunk.cpConstraintGetMaxForce, self.joint_handles)]
 
@@ -153,6 +171,11 @@ class Linkage:
             stop = pymunk.RotaryLimitJoint(parent, segment, -1.0, 1.0)
             self.stops.append(stop._constraint)
             constraints.append(stop)
+        if self._has_brakes:
+            brake = pymunk.SimpleMotor(parent, segment, 0.0)
+            brake.max_force = 0.0
+            self.brakes.append(brake._constraint)
+            constraints.append(brake)
         if joint in p.lockable_joints:
             lock = pymunk.GearJoint(parent, segment, 0.0, 1.0)
             lock.error_bias = 0.0
@@ -209,6 +232,15 @@ class Linkage:
         self.locked = False
         for _, lock in self.locks:
             chipmunk.cpConstraintSetMaxForce(lock._constraint, 0.0)
+
+    def rub(self) -> None:
+        """Set the torques with which friction may brake the joints in the next physics step."""
+        friction, damping = self.parameters.joint_friction, self.parameters.joint_damping
+        before = 0.0
+        for brake, (segment, _, _) in zip(self.brakes, self.rods):
+            after = chipmunk.cpBodyGetAngularVelocity(segment)
+            chipmunk.cpConstraintSetMaxForce(brake, friction + damping * abs(after - before))
+            before = after
 
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
         """Move the joints from one Space to another without reordering those of any arm.
