@@ -81,8 +81,8 @@ def list_perturbations() -> Listing:
     rows = []
     for name, family in FAMILIES.items():
         what = family.description.format(f"{family.default:g}")
-        rows.append(Listed(name, what, f"{family.unit}{', or -known' * family.known}"))
-    return Listing(Listed("perturbation", "what it is", "strength in"), rows)
+        rows.append(Listed(name, what, ", ".join((family.unit, *family.endings))))
+    return Listing(Listed("perturbation", "what it is", "strength in, endings"), rows)
 
 
 def list_scenarios() -> Listing:

@@ -132,6 +132,9 @@ def ends_of(number: Any) -> tuple[float, float]:
     return low, high
 
 
+_ENDINGS = {"of": "-of-", "steps": "-for-"}  # of names, by arguments of the family's function
+
+
 @dataclass(frozen=True)
 class Family:
     """Perturbations of one kind, which differ in strength.
@@ -172,7 +175,7 @@ class Family:
         The strength may be named as the family's function names it.
         """
         _, strength_name, *others = inspect.signature(self.apply).parameters
-        for word, ending in (("of", "-of-"), ("steps", "-for-")):
+        for word, ending in _ENDINGS.items():
             can_have = word in others or word not in settings
             require(can_have, f"{self.name}{ending}", settings.get(word), f"without {ending}")
         names = (strength_name, "strength", *others, "at", "over", "until", "known")
@@ -180,6 +183,13 @@ class Family:
         strength = settings.pop(strength_name, strength)
         number = self.default if strength is None else strength
         return Change(self, number, at, over, until, known, tuple(sorted(settings.items())))
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """The endings that its names may have besides those of times: "-of-", "-for-", "-known"."""
+        words = inspect.signature(self.apply).parameters
+        endings = [ending for word, ending in _ENDINGS.items() if word in words]
+        return (*endings, "-known") if self.known else tuple(endings)
 
     @cached_property
     def takes_times(self) -> bool:

@@ -280,7 +280,7 @@ def Channel(arms: Arms, curl: Floats) -> None:
 @_loads(
     "joint-friction",
     "of the largest torque",
-    "joints rub with {} of the largest torque",
+    "dry friction of joints, {} of the largest torque",
     0.3,
     neutral=0.0,
     low=0.0,
@@ -299,7 +299,7 @@ def joint_friction(arms: Arms, share: Floats) -> None:
 @_loads(
     "joint-damping",
     "of the largest torque",
-    "joints braked by {} of the largest torque at full speed",
+    "viscous friction of joints, {} of the largest torque at full speed",
     0.3,
     neutral=0.0,
     low=0.0,

@@ -31,7 +31,7 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 
 @dataclass(frozen=True, kw_only=True)
 class KnownServos(ReachInterface):
-    """An interface with the true gain of the servos; actions mean what they mean in the given one."""
+    """An interface with the true gain of the servos, whose actions mean what is given."""
 
     largest_delta: float
 
