@@ -141,7 +141,8 @@ def generalisation_table(results: Results) -> Table | None:
 def kinds_table(results: Results) -> Table | None:
     """Return success and regret by group of perturbations; None if no training lacks a group.
 
-    Trainings without a group share a row, in which each is judged on the group that it lacks.
+    Trainings without a group share a row, in which each is judged on the group that it lacks; –: no
+    training lacks it.
     """
     best, agents = results.yardstick, [name for name in results.agents if name != REFERENCE]
     without = {agent: trained_without(agent, agents) for agent in agents}
@@ -151,10 +152,11 @@ def kinds_table(results: Results) -> Table | None:
         for label, names in ((agent, {}), (f"{agent}, never met", without[agent])):
             cells = [
                 _judged(successes, names.get(group, agent), best)
-                for group, successes in results.groups.items()
                 if label == agent or group in names
+                else NONE
+                for group, successes in results.groups.items()
             ]
-            if len(cells) == len(results.groups):
+            if {*cells} != {NONE}:
                 rows.append(_row(results, label, cells))
     if not rows:
         return None
