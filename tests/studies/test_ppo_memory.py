@@ -18,17 +18,25 @@ ARMS = 8
 NAMES = ["delay-0..100", "vision-noise-0..0.1", "joint-noise-0..0.05", "rotation--60..60"]
 
 
-def shown(choice, ahead=0, env_id="MMCReach-v0"):
+def shown(choice, names=NAMES):
     """What the teacher is shown of arms that have drawn this option, under equal actions."""
-    weights = [1.0 * (choice == number) for number in range(4)]
-    perturbations = [{"one_of": NAMES, "weights": weights}]
-    envs = gym.make_vec(env_id, ARMS, perturbations=perturbations, observe_context=True)
+    weights = [1.0 * (choice == number) for number in range(len(names))]
+    perturbations = [{"one_of": names, "weights": weights}]
+    envs = gym.make_vec("MMCReach-v0", ARMS, perturbations=perturbations, observe_context=True)
     env = envs.unwrapped
     env.reset = partial(env.reset, seed=0)  # whatever noise was drawn before
     history = History(ReachInterface.of(env).layout, (1, 2, 3))
     seen, true = study.episodes_of(env, history, lambda seen: np.full((ARMS, 3), 0.3, np.float32))
     assert seen.shape == (study.STEPS, ARMS, 15 + history.size)
     return true
+
+
+def test_the_teacher_is_shown_what_is_true_when_late_actions_arrive():
+    late, prompt = (
+        shown(choice, ["action-delay-99..101", "gain-1..1.000001"]) for choice in range(2)
+    )
+    np.testing.assert_allclose(late[:-6, :, :15], prompt[:-6, :, :15], atol=1e-4)
+    assert np.ptp(prompt[..., :15], axis=0).max() > 0.5, "the arm moves"
 
 
 def test_the_teacher_is_shown_what_is_true_on_time_and_without_noise():

@@ -32,6 +32,7 @@ SHORT = {
         r"median .* 95%",
     ),
     "learners.train_all": ("--names ppo --seeds 1 --steps 4096 --jobs 1", r"ppo-0 +success"),
+    "learners.gain_at_target": ("--agents mmc ppo-0", r"mmc .* 2\.2 / s, 0\.02"),
     "network.abilities": ("--segments 2 3 --arms 50 --iterations 100", r"inverse .*100%"),
     "network.normalization_training": ("--epochs 1 --widest 4", r"\[4, 4\]"),
     "other_bodies.trainings": ("sac --at 101 --out .", r"101 steps"),
