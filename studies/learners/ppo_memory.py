@@ -176,9 +176,10 @@ def main(teacher: Path = TEACHER, rounds: int = 66, out: Path = Path("runs/ppo-m
     of_student = {"observe_context": False, "perturbations": [{"one_of": options}]}  # equal chances
     env_kwargs = {**of_teacher.hyperparameters["env_kwargs"], **of_student}
     settings = {"teacher": of_teacher.file_stem, "arms": TASKS, "often": OFTEN, "rounds": rounds}
+    _, dash, group = of_teacher.name.partition("-without-")
     card = replace(
         of_teacher,
-        name="ppo-memory",
+        name=f"ppo-memory{dash}{group}",
         hyperparameters={"env_kwargs": env_kwargs, **settings},
         blocks=BLOCKS,
         context=[],
