@@ -75,6 +75,7 @@ ALGORITHMS = {
     "trpo": Algorithm("sb3_contrib:TRPO", "gaussian"),
     "sac": Algorithm("stable_baselines3:SAC", "squashed"),
     "tqc": Algorithm("sb3_contrib:TQC", "squashed"),
+    "crossq": Algorithm("sb3_contrib:CrossQ", "squashed"),
     "td3": Algorithm("stable_baselines3:TD3", "squashed"),
 }
 """The algorithms by the names that rl_zoo3 gives them."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from safetensors import SafetensorError
+from sb3_contrib.common.torch_layers import BatchRenorm1d
 from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -115,12 +117,21 @@ def export_network(
     """Return a copy of an actor's layers as arrays.
 
     `hidden` are linear layers, each followed by the same one of `ACTIVATIONS`; `mean` is the layer
-    of the mean actions, and `log_std` a layer or a parameter.  `before` are tensors of earlier
-    layers, named as in `PolicyNetwork`.  Other activations raise a `ValueError`.
+    of the mean actions, and `log_std` a layer or a parameter.  Normalization before a linear layer
+    becomes a part of it.  `before` are tensors of earlier layers, named as in `PolicyNetwork`.
+    Other activations raise a `ValueError`.
     """
-    hidden = list(hidden)
-    linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
-    kinds = {type(layer) for layer in hidden} - {torch.nn.Linear}
+    hidden, linear, norm = list(hidden), [], None
+    for layer in hidden:
+        if isinstance(layer, torch.nn.Linear):
+            linear.append(_with_norm(layer, norm))
+            norm = None
+        elif isinstance(layer, BatchRenorm1d):
+            norm = layer
+    mean = _with_norm(mean, norm)
+    if isinstance(log_std, torch.nn.Linear):
+        log_std = _with_norm(log_std, norm)
+    kinds = {type(layer) for layer in hidden} - {torch.nn.Linear, BatchRenorm1d}
     activation = next((name for name, kind in ACTIVATIONS.items() if kinds == {kind}), None)
     if activation is None:
         raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between layers, got {kinds}")
@@ -134,6 +145,19 @@ def export_network(
         else:
             tensors[name] = _array(part)
     return PolicyNetwork(tensors, activation, distribution)
+
+
+def _with_norm(layer: torch.nn.Linear, norm: BatchRenorm1d | None) -> torch.nn.Linear:
+    """Return a layer that does what the normalization and this layer do together."""
+    if norm is None:
+        return layer
+    tensors = norm.state_dict()
+    scale = tensors["scale"] / (tensors["ra_var"] + norm.eps).sqrt()
+    both = deepcopy(layer)
+    with torch.no_grad():
+        both.weight.copy_(layer.weight * scale)
+        both.bias.copy_(layer.bias + layer.weight @ (tensors["bias"] - tensors["ra_mean"] * scale))
+    return both
 
 
 def _array(parameter: torch.Tensor) -> Float32:

@@ -36,6 +36,10 @@ TINY: dict[str, dict[str, Any]] = {
     "ppo-residual": {"n_steps": 50, "batch_size": 50, "env_kwargs": DELAYS},
     "sac": {**OFF_POLICY, "learning_starts": 64, "normalize": True, "memory": [1, 2]},
     "td3": {**OFF_POLICY, "learning_starts": 64, "normalize": "dict(norm_obs=True)"},
+    "crossq": {
+        **{**OFF_POLICY, "learning_starts": 64},
+        "policy_kwargs": {"net_arch": [8], "renorm_warmup_steps": 100},
+    },
     "a2c": {"n_steps": 25},
     "trpo": {"n_steps": 50, "batch_size": 50},
     "ppo_lstm": {
@@ -131,14 +135,14 @@ def test_the_card_describes_the_whole_training(trained, tmp_path):
     assert {"success", "final_distance", "episode_return"} <= set(card.scores)
 
 
-@pytest.mark.parametrize("name", ["ppo", "td3", "a2c", "ppo_lstm"])
+@pytest.mark.parametrize("name", ["ppo", "td3", "a2c", "ppo_lstm", "crossq"])
 def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(name, tmp_path):
     tiny_training, models = training(name, tmp_path, n_timesteps=1), []
     tiny_training.save = lambda model: (models.append(model), Training.save(tiny_training, model))
     tiny_training.run()
     model, envs = models[-1], gym.make_vec("MMCReach-v0", 5)
     normalizer = model.get_vec_normalize_env()
-    assert (normalizer is not None) == (name != "ppo")
+    assert (normalizer is not None) == (name not in ("ppo", "crossq"))
     observations, _ = envs.reset(seed=0)
     agent = make_agent(str(tmp_path / f"{name}-3.json"), envs)
     state = theirs = None
