@@ -7,6 +7,7 @@ it never met, see `generalisation`; this asks it of kinds.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 
@@ -18,8 +19,12 @@ from mmc_gym.envs.scenarios import parse_scenario
 
 
 def name_without(name: str, group: str) -> str:
-    """Return the name of a training without a group, by which the report knows it."""
-    return f"{name}-without-{group}"
+    """Return the name of a training without a group, by which the report knows it.
+
+    >>> name_without("ppo-drawn", "motors"), name_without("ppo-drawn-3", "motors")
+    ('ppo-drawn-without-motors', 'ppo-drawn-without-motors-3')
+    """
+    return re.sub(r"(-\d+)?$", rf"-without-{group}\1", name, count=1)
 
 
 def group_of(scenario: str) -> str:
