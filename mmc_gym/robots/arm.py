@@ -42,6 +42,7 @@ NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
 _SQUARE = 1e-6  # largest deviation of a rotation times its transpose from the identity
+_ENDLESS = 1e3  # limits beyond are none: files write such numbers for "no limit", radians
 _LARGEST_FILE = 16 * 2**20  # bytes of a URDF file
 
 
@@ -92,7 +93,9 @@ class HingeArm:
     axes: Floats  #: directions of the hinges in the zero posture, (n, 3); brought to length 1
     points: Floats  #: a point on each axis in the zero posture, (n, 3)
     home: Floats  #: pose of the hand in the zero posture, (4, 4)
-    limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite without a limit
+    #: least and largest angle of each hinge, (n, 2); infinite without a limit, as are those that
+    #: are given as beyond ±1,000 rad
+    limits: Floats
     joint_names: tuple[str, ...] = ()  #: of the hinges, all different; "joint_0" … if not given
 
     def __post_init__(self) -> None:
@@ -105,6 +108,7 @@ class HingeArm:
             require(not np.isnan(value).any(), name, value, "without nan")
             require(name == "limits" or bool(np.isfinite(value).all()), name, value, "finite")
             object.__setattr__(self, name, value)
+        self.limits[np.abs(self.limits) > _ENDLESS] *= np.inf
         lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
         require(bool((lengths > 0).all()), "axes", self.axes, "other than zero")
         object.__setattr__(self, "axes", self.axes / lengths)

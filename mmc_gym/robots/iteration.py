@@ -44,7 +44,7 @@ def settle(blocks: Any, arm: Any, course: Any) -> None:
                 _newton(block, arm, course)
                 _place(block, arm)
                 _compare(block, course)
-        if course.has_start:
+        if course.turns_back:
             _turn_back(block)
 
 

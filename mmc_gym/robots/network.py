@@ -261,7 +261,8 @@ class HingeNetwork:
             start: postures (..., n) to begin with.  Other starts win only where nothing settles
                 from there in 30 iterations, or in all `iterations` where the start is near: it
                 misses by less than 0.3 of the arm.  Of the others the nearest to it wins.  Joints
-                never turn by a whole turn more than limits require.
+                never turn by a whole turn more than limits require: seen from `start`, or without
+                one from the middle of their limits, which is 0 without limits.
             held: angles of joints that do not move.
             points: positions of nodes.
             starts: at most so many, `start` among them.
@@ -285,7 +286,7 @@ class HingeNetwork:
             iterations,
             far=max(far, loose),
             turn=max(turn, LOOSE[1]),
-            has_start=first is not None,
+            turns_back=True,
             newton_steps=NEWTON_STEPS,
             is_exact=far < loose or turn < LOOSE[1],
             ridge=(RIDGE * far) ** 2,
@@ -320,8 +321,7 @@ class HingeNetwork:
                 order = self._order(blocks, course, race.pool) if order is None else order
                 postures = race.pool[order[:, lanes - LANES * (start is not None)]]
             blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
-            if start is not None:
-                blocks["start"] = start[rows, :, None]
+            blocks["start"] = (self._middle if start is None else start[rows])[..., None]
             self._settle(blocks, course)
 
             away = None
@@ -361,7 +361,7 @@ class HingeNetwork:
         tried = np.repeat(blocks, parts)
         postures = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
         tried["angle"] = np.tile(postures, (len(blocks), 1, 1))
-        self._settle(tried, course._replace(iterations=0, newton_steps=0, has_start=False))
+        self._settle(tried, course._replace(iterations=0, newton_steps=0, turns_back=False))
         return np.argsort(tried["merit"].reshape(len(blocks), -1), axis=1)
 
     def _blocks(self, tasks: Records) -> Records:
@@ -396,6 +396,13 @@ class HingeNetwork:
         return float(np.linalg.norm(segments, axis=1).sum()) or 1.0
 
     @cached_property
+    def _middle(self) -> Floats:
+        """Return the middle of each joint's range, 0 where it has none, (n,)."""
+        has_both = np.isfinite(self.arm.limits).all(axis=1, keepdims=True)
+        middle: Floats = np.where(has_both, self.arm.limits, 0.0).mean(axis=1)
+        return middle
+
+    @cached_property
     def _end_type(self) -> np.dtype[np.void]:
         numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
         angle = ("angle", np.float64, (self.arm.joint_count,))
@@ -424,7 +431,9 @@ def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
     """Return at least so many postures within the limits, whole blocks, (size, n)."""
     size = -(-least // LANES) * LANES
     random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
-    low, high = np.where(np.isinf(arm.limits), (-np.pi, np.pi), arm.limits).T
+    low, high = arm.limits.T
+    low = np.where(np.isinf(low), np.minimum(-np.pi, high - 2 * np.pi), low)
+    high = np.where(np.isinf(high), np.maximum(np.pi, low + 2 * np.pi), high)
     return random.uniform(low, high, (size, arm.joint_count))
 
 
