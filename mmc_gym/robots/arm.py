@@ -41,7 +41,8 @@ from mmc_gym.geometry import Floats
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
-_SQUARE = 1e-6  # largest deviation of a rotation times its transpose from the identity
+# Largest deviation of a rotation times its transpose from the identity: as it is, and rounded.
+_SQUARE, _ROUNDED = 1e-6, 1e-3
 _ENDLESS = 1e3  # limits beyond are none: files write such numbers for "no limit", radians
 _LARGEST_FILE = 16 * 2**20  # bytes of a URDF file
 
@@ -55,21 +56,33 @@ class ArmFrames(NamedTuple):
     hand: Floats  #: pose of the hand, (..., 4, 4)
 
 
-def require_rotations(name: str, value: Floats) -> None:
-    """Raise a `UserError` for the first matrix of `value` (..., 3, 3) that is no rotation."""
+def nearest_rotations(name: str, value: Floats) -> Floats:
+    """Return rotations (..., 3, 3), the nearest to those that are rounded.
+
+    Raise a `UserError` for the first matrix that is no rotation.
+    """
     matrices = value.reshape(-1, 9).tolist()  # numpy takes four times as long for one matrix
+    rounded = []
     for number, (a, b, c, d, e, f, g, h, i) in enumerate(matrices):
         # The rows (a, b, c) … must have length 1 and be at right angles.
         squares = abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1)
         across = abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
         gap = max(*squares, abs(g * g + h * h + i * i - 1), *across)
         turn = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
-        if not (gap <= _SQUARE and turn > 0):  # refuses NaN too
+        if not (gap <= _ROUNDED and turn > 0):  # refuses NaN too
             index = [int(row) for row in np.unravel_index(number, value.shape[:-2])]
             raise UserError(
-                f"{name} must be a rotation, orthogonal within {_SQUARE:g} and of determinant 1, "
+                f"{name} must be a rotation, orthogonal within {_ROUNDED:g} and of determinant 1, "
                 f"but {name}{index or ''} is off by {gap:.2g} and has the determinant {turn:.4g}"
             )
+        if gap > _SQUARE:
+            rounded.append(number)
+    if not rounded:
+        return value
+    nearest: Floats = np.array(matrices).reshape(-1, 3, 3)
+    left, _, right = np.linalg.svd(nearest[rounded])
+    nearest[rounded] = left @ right
+    return nearest.reshape(value.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +127,7 @@ class HingeArm:
         object.__setattr__(self, "axes", self.axes / lengths)
         below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
         require(below, "limits", self.limits, "pairs of a lower and a higher angle")
-        require_rotations("home", self.home[:3, :3])
+        self.home[:3, :3] = nearest_rotations("home", self.home[:3, :3])
         is_pose = np.array_equal(self.home[3], (0, 0, 0, 1))
         require(is_pose, "home", self.home, "a pose: a rotation, a position and the row 0, 0, 0, 1")
         names = tuple(self.joint_names) or tuple(f"joint_{joint}" for joint in range(count))

@@ -51,17 +51,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
+    UserError,
     require,
     require_batch,
     require_floats,
     require_number,
+    require_numbers,
     require_positive,
     require_whole,
     spelt,
     unknown,
 )
 from mmc_gym.geometry import Floats
-from mmc_gym.robots.arm import HingeArm, require_rotations
+from mmc_gym.robots.arm import HingeArm, nearest_rotations
 from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
 
 Records = NDArray[np.void]
@@ -77,6 +79,7 @@ RIDGE = 3.0  # square root of the least damping of these steps, tolerances of po
 FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
 _CHUNK = 64  # tasks in memory at once
+_SINGLE = float(np.finfo(np.float32).eps)
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
 
 
@@ -170,12 +173,18 @@ class HingeNetwork:
 
         Args:
             position: of the hand, seen from the base, (..., 3).
-            rotation: of the hand, (..., 3, 3); orthogonal within 1e-6.
+            rotation: of the hand, (..., 3, 3); orthogonal within 1e-3.  One that is rounded, off
+                by more than 1e-6, counts as the nearest rotation.
             held: angles (...) of joints that do not move, within their limits, by index or name of
-                the joint; a locked joint, or all of them for the forward task.
+                the joint; a locked joint, or all of them for the forward task.  One beyond a limit
+                by no more than float32 rounds counts as the limit.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
         """
         arm, held, points = self.arm, held or {}, points or {}
+        accepted = "a mapping of joints, by index or name, to angles"
+        require(isinstance(held, Mapping), "held", held, accepted)
+        accepted = "a mapping of nodes, by index, to positions"
+        require(isinstance(points, Mapping), "points", points, accepted)
         for node in points:
             if node not in range(1, arm.node_count):
                 raise unknown("node", node, range(1, arm.node_count))
@@ -188,8 +197,7 @@ class HingeNetwork:
             places[arm.node_count - 1] = _floats("position", position, (3,))
         turn = np.zeros((3, 3))  # of the whole arm in its zero posture
         if rotation is not None:
-            of_hand = _floats("rotation", rotation, (3, 3))
-            require_rotations("rotation", of_hand)
+            of_hand = nearest_rotations("rotation", _floats("rotation", rotation, (3, 3)))
             turn = of_hand @ arm.home[:3, :3].T
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
@@ -202,9 +210,11 @@ class HingeNetwork:
         for (joint, angle), value in zip(angles.items(), held.values()):
             low, high = arm.limits[joint]
             name = arm.joint_names[joint]
-            accepted = f"within the limits of {name!r}, {low:.4g} to {high:.4g} rad"
-            require(bool((angle == angle.clip(low, high)).all()), "held", value, accepted)
-            tasks["low"][..., joint] = tasks["high"][..., joint] = angle
+            accepted = f"within the limits of {name!r}, {low:.6g} to {high:.6g} rad"
+            within = angle.clip(low, high)
+            is_within = np.abs(angle - within) <= _SINGLE * np.maximum(1.0, np.abs(within))
+            require(bool(is_within.all()), "held", value, accepted)
+            tasks["low"][..., joint] = tasks["high"][..., joint] = within
         for node, place in places.items():
             tasks["place"][..., node, :] = place
         is_placed = np.zeros(arm.node_count, np.bool_)
@@ -266,20 +276,24 @@ class HingeNetwork:
             held: angles of joints that do not move.
             points: positions of nodes.
             starts: at most so many, `start` among them.
-            tolerance: of position, m, and of rotation, radians.
+            tolerance: of position, m, and of rotation, radians: two numbers.
             seed: of the starts.
             iterations: of each start at most.
         """
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)
         require_whole("iterations", iterations)
-        far, turn = (require_positive("tolerance", bound) for bound in tolerance)
+        require_whole("seed", seed, least=0, most=np.inf)
+        accepted = "two positive numbers, of position in m and of rotation in radians"
+        far, turn = require_numbers("tolerance", tolerance, accepted, _are_tolerances)
         tasks, first = clamps.tasks, None
         if start is not None:
             first = _floats("start", start, (self.arm.joint_count,))
             batch = require_batch("start", [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
+        if not (clamps.is_placed.any() or clamps.has_rotation or held):
+            raise UserError("solve must be given a task: a position, a rotation, points or held")
         loose = max(LOOSE[0], LOOSE_SHARE * self._length)
         course = self._course(
             clamps,
@@ -435,6 +449,10 @@ def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
     low = np.where(np.isinf(low), np.minimum(-np.pi, high - 2 * np.pi), low)
     high = np.where(np.isinf(high), np.maximum(np.pi, low + 2 * np.pi), high)
     return random.uniform(low, high, (size, arm.joint_count))
+
+
+def _are_tolerances(bounds: tuple[float, ...]) -> bool:
+    return len(bounds) == 2 and all(0 < bound < np.inf for bound in bounds)
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:

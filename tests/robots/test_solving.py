@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym import HingeArm, HingeNetwork
+from mmc_gym import HingeArm, HingeNetwork, UserError
 
 UR5, PANDA = HingeArm.named("ur5"), HingeArm.named("panda")
 ENDLESS = replace(UR5, limits=np.tile([-np.inf, np.inf], (6, 1)))
@@ -61,3 +61,67 @@ def test_a_joint_may_have_a_limit_on_one_side():
     first, second = solution.joint_angles[:, :2].T
     assert ((first >= 2) & (first <= 2 + 2 * np.pi)).all()
     assert ((second <= -5) & (second >= -5 - 2 * np.pi)).all()
+
+
+def test_a_lock_that_single_precision_puts_beyond_its_limit_is_at_the_limit():
+    network = HingeNetwork(PANDA)
+    for joint, limits in enumerate(PANDA.limits):
+        for limit in limits:
+            measured = np.nextafter(np.float32(limit), np.float32(10 * limit))
+            solution = network.solve(held={joint: float(measured)})
+            assert abs(solution.joint_angles[joint] - limit) < 1e-6
+            assert PANDA.limits[joint, 0] <= solution.joint_angles[joint] <= PANDA.limits[joint, 1]
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ({"tolerance": 1e-4}, "tolerance must be two .* m and .* radians, got 0.0001"),
+        ({"tolerance": (1e-4,)}, r"tolerance must be two .* got \(0.0001,\)"),
+        ({"tolerance": (1e-4, 0)}, "tolerance must be two positive"),
+        ({"tolerance": None}, "tolerance must be two .* got None"),
+        ({"held": [0]}, r"held must be a mapping of joints, .* to angles, got \[0\]"),
+        ({"held": 3}, "held must be a mapping"),
+        ({"points": [[0, 0, 1]]}, "points must be a mapping of nodes"),
+        ({"held": {0: 2.89735}}, "within the limits of 'panda_joint1', -2.8973 to 2.8973 rad"),
+        ({"seed": -1}, "seed must be a whole number of at least 0, got -1"),
+        ({"seed": None}, "seed must be a whole number of at least 0, got None"),
+        ({"seed": "x"}, "seed must be a whole number of at least 0, got 'x'"),
+        ({"starts": None}, "starts must be a whole number of at least 1, got None"),
+        ({"starts": "x"}, "starts must be a whole number of at least 1, got 'x'"),
+        ({"iterations": 0}, "iterations must be a whole number of at least 1"),
+        ({"position": None}, "solve must be given a task: .*position"),
+    ],
+)
+def test_a_mistake_is_named_with_what_is_accepted(task, message):
+    with pytest.raises(UserError, match=message):
+        HingeNetwork(PANDA).solve(**{"position": [0.4, 0.2, 0.5], **task})
+
+
+def test_rotations_that_are_rounded_count_as_the_nearest():
+    poses = poses_of(PANDA, 50)
+    turns = poses[:, :3, :3].round(4)
+    solution = HingeNetwork(PANDA).solve(poses[:, :3, 3], turns, tolerance=(1e-6, 1e-6))
+    assert solution.is_solved.all()
+    reached = PANDA.forward(solution.joint_angles)[:, :3, :3]
+    # The nearest rotation R to a matrix A makes Rᵀ A symmetric.
+    product = np.swapaxes(reached, -1, -2) @ turns
+    np.testing.assert_allclose(product, np.swapaxes(product, -1, -2), atol=5e-6)
+    np.testing.assert_allclose(reached, poses[:, :3, :3], atol=2e-4)
+
+
+def test_a_product_of_a_hundred_rotations_in_single_precision_is_a_rotation():
+    step = PANDA.forward([0.1, 0.2, 0.3, -1, 0.2, 1, 0.3])[:3, :3].astype(np.float32)
+    turn = np.eye(3, dtype=np.float32)
+    for _ in range(100):
+        turn = turn @ step * np.float32(1 + 1e-7)
+    network = HingeNetwork(PANDA)
+    assert network.clamp(rotation=turn).has_rotation
+    home = PANDA.home.round(6) + 1e-4 * np.eye(4, k=1) * (np.arange(4)[:, None] < 2)
+    assert np.allclose(replace(PANDA, home=home).home, PANDA.home, atol=2e-4)
+
+
+@pytest.mark.parametrize("matrix", [1.01 * np.eye(3), np.eye(3) + 0.01 * np.eye(3, k=1)])
+def test_a_matrix_that_is_no_rotation_is_refused(matrix):
+    with pytest.raises(UserError, match=r"rotation, orthogonal within 0\.001 .* off by 0\.0"):
+        HingeNetwork(PANDA).solve(rotation=matrix)
