@@ -33,6 +33,7 @@ from mmc_gym._errors import (
     require,
     require_array,
     require_choice,
+    require_floats,
     unknown,
 )
 from mmc_gym._files import read_yaml
@@ -85,6 +86,15 @@ def nearest_rotations(name: str, value: Floats) -> Floats:
     return nearest.reshape(value.shape)
 
 
+def require_poses(name: str, value: ArrayLike) -> Floats:
+    """Return poses (..., 4, 4); raise a `UserError` for what is none."""
+    poses = np.array(require_floats(name, value, (4, 4)), np.float64)
+    accepted = "a pose: a rotation, a position and the row 0, 0, 0, 1"
+    require(bool((poses[..., 3, :] == (0, 0, 0, 1)).all()), name, value, accepted)
+    poses[..., :3, :3] = nearest_rotations(name, poses[..., :3, :3])
+    return poses
+
+
 @dataclass(frozen=True, eq=False)
 class HingeArm:
     """Description of an arm of n hinges; lengths in metres, angles in radians.
@@ -127,9 +137,7 @@ class HingeArm:
         object.__setattr__(self, "axes", self.axes / lengths)
         below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
         require(below, "limits", self.limits, "pairs of a lower and a higher angle")
-        self.home[:3, :3] = nearest_rotations("home", self.home[:3, :3])
-        is_pose = np.array_equal(self.home[3], (0, 0, 0, 1))
-        require(is_pose, "home", self.home, "a pose: a rotation, a position and the row 0, 0, 0, 1")
+        object.__setattr__(self, "home", require_poses("home", self.home))
         names = tuple(self.joint_names) or tuple(f"joint_{joint}" for joint in range(count))
         is_named = len(set(names)) == len(names) == count and all(isinstance(n, str) for n in names)
         require(is_named, "joint_names", names, f"{count} different names")
@@ -218,6 +226,16 @@ class HingeArm:
     def nodes(self, joint_angles: ArrayLike) -> Floats:
         """Return the positions of the nodes (..., N + 1, 3) for joint angles (..., n)."""
         return self.frames(joint_angles).nodes
+
+    def jacobian(self, joint_angles: ArrayLike) -> Floats:
+        """Return how the hand moves with each joint, (..., 6, n), for joint angles (..., n).
+
+        The first three rows are its velocity, m per radian, the last three its angular velocity,
+        both in the frame of the base.
+        """
+        _, axes, points, hand = self.frames(joint_angles)
+        velocity = np.cross(axes, hand[..., None, :3, 3] - points)
+        return np.swapaxes(np.concatenate([velocity, axes], axis=-1), -1, -2)
 
     def frames(self, joint_angles: ArrayLike) -> ArmFrames:
         """Return nodes, axes, points on the axes and pose of the hand for joint angles (..., n)."""

@@ -14,7 +14,7 @@ LANES = 16  # postures in a block
 
 
 class ZeroPosture(NamedTuple):
-    """A `HingeArm` in its zero posture: its nodes, and the node of each hinge."""
+    """A `HingeArm` in its zero posture: nodes, a tool's point too, and the node of each hinge."""
 
     axes: Floats
     points: Floats
@@ -26,7 +26,8 @@ class Course(NamedTuple):
     """How blocks iterate: what is held, the mean, and when they stop."""
 
     is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
-    weight: float  #: 2 s² where the hand's rotation is held, otherwise 0
+    axis: Floats  #: of the hand in the zero posture that is held in a direction, or zeros, (3,)
+    weight: float  #: 2 s² where the hand's rotation or a direction of it is held, otherwise 0
     share: float  #: 1/d
     decay: float  #: factor on the velocity
     iterations: int  #: at most
@@ -55,6 +56,7 @@ def block_type(joints: int, nodes: int) -> np.dtype[np.void]:
     shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled", "away"), ())
     shapes |= dict.fromkeys(("angle", "velocity", "pull", "leverage", "free", "start"), (joints,))
     shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (joints, 3)}
-    shapes |= {"row": (joints, joints + 1), "turn": (3, 3), "shift": (3,), "spin": (3,)}
+    shapes |= {"row": (joints, joints + 1), "turn": (3, 3)}
+    shapes |= dict.fromkeys(("shift", "spin", "heading"), (3,))
     kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]
     return np.dtype([*kinds, ("iterations", np.int64), ("alone", np.int64)])

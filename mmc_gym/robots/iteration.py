@@ -104,12 +104,14 @@ def _compare(block, course):
     """Find what is missing: e_g as `gap`, Σ_a h_a × e_a / 2 s² as `spin`; and who has settled.
 
     `miss` is the largest |e_g|², `merit` the sum of all squares; `sine` (squared) and `cosine` are
-    those of the angle by which the hand still has to turn.
+    those of the angle by which the hand still has to turn, in a direction that of `heading`: the
+    unit vector of its axis.
     """
     block.miss[:] = 0.0
     block.merit[:] = 0.0
     block.sine[:] = 0.0
-    block.cosine[:] = -0.5
+    ax, ay, az = course.axis[0], course.axis[1], course.axis[2]
+    block.cosine[:] = 0.0 if ax * ax + ay * ay + az * az > 0.0 else -0.5
     for g in range(1, block.node.shape[0]):
         if course.is_placed[g]:
             for k in range(LANES):
@@ -130,6 +132,8 @@ def _compare(block, course):
                 trace = trace + block.rotation[a, f, k] * block.turn[a, f, k]
                 spin = spin + block.rotation[e, f, k] * block.turn[c, f, k]
                 spin = spin - block.rotation[c, f, k] * block.turn[e, f, k]
+            block.heading[a, k] = block.turn[a, 0, k] * ax + block.turn[a, 1, k] * ay
+            block.heading[a, k] += block.turn[a, 2, k] * az
             block.spin[a, k] = 0.5 * spin
             block.sine[k] += 0.25 * spin * spin
             block.cosine[k] += 0.5 * trace
@@ -168,6 +172,13 @@ def _lever(block, i, g, h, k):
     z = block.node[h, 2, k] - block.node[g, 2, k]
     ux, uy, uz = block.axis[i, 0, k], block.axis[i, 1, k], block.axis[i, 2, k]
     return uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+
+
+@inner
+def _along(block, i, k):
+    """Return the product of u_i and the heading."""
+    product = block.axis[i, 0, k] * block.heading[0, k] + block.axis[i, 1, k] * block.heading[1, k]
+    return product + block.axis[i, 2, k] * block.heading[2, k]
 
 
 @inner
@@ -221,6 +232,9 @@ def _newton(block, arm, course):
                 for k in range(LANES):
                     along = block.axis[i, a, k] * block.axis[j, a, k]
                     block.row[i, j, k] += course.weight * along
+            for k in range(LANES):  # a direction is one vector, which hinges along it do not move
+                along = _along(block, i, k) * _along(block, j, k)
+                block.row[i, j, k] -= course.weight * along
             for h in range(max(arm.joint_nodes[i], arm.joint_nodes[j]) + 1, arm.nodes.shape[0]):
                 if course.is_placed[h]:
                     for k in range(LANES):

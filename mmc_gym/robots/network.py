@@ -2,7 +2,9 @@
 
 Nodes p_0 (base) … p_N (hand) follow from the arm, see `arm`; hinge i lies in node k(i), along
 the unit vector u_i.  A clamp holds the vector v_0g from the base to a node, at v*_0g; three vectors
-h_a of length s that turn with the hand stand for its rotation, and are held at h*_a.
+h_a of length s that turn with the hand stand for its rotation, and are held at h*_a.  Where only a
+direction is held, it is one h of length √2 s along an axis of the hand.  A tool's point that is
+held is one more node, after the hand.
 
 **What a hinge computes.**  From the triangle (0, k, g) follows v_kg = v*_0g − v_0k, one of the
 computations that `MMCNetwork` averages.  All others agree with the present value, because the
@@ -45,7 +47,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +55,9 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import (
     UserError,
     require,
+    require_array,
     require_batch,
+    require_choice,
     require_floats,
     require_number,
     require_numbers,
@@ -63,10 +67,11 @@ from mmc_gym._errors import (
     unknown,
 )
 from mmc_gym.geometry import Floats
-from mmc_gym.robots.arm import HingeArm, nearest_rotations
+from mmc_gym.robots.arm import HingeArm, nearest_rotations, require_poses
 from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
 
 Records = NDArray[np.void]
+Axis = Literal["x", "y", "z"]
 HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
 POOL = 128  # postures, of which the nearest to a task are its starts
@@ -96,9 +101,11 @@ class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
     tasks: Records  #: the limits and places, an array (...) of `blocks.task_type`
-    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
-    has_rotation: bool  #: whether the hand's rotation is held
+    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,), or one more with a tool
+    has_rotation: bool  #: whether the hand's rotation, or a direction of it, is held
     free_joints: int  #: number of joints that are not held
+    arm: ZeroPosture  #: with the point of a tool as last node
+    axis: Floats  #: of the hand in the zero posture that is held in a direction, or zeros, (3,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,17 +175,29 @@ class HingeNetwork:
         rotation: ArrayLike | None = None,
         held: HeldJoints | None = None,
         points: Mapping[int, ArrayLike] | None = None,
+        *,
+        pose: ArrayLike | None = None,
+        direction: ArrayLike | None = None,
+        axis: Axis = "z",
+        tool: ArrayLike | None = None,
     ) -> HingeClamps:
         """Hold the hand's position and rotation, joints, and nodes: any task, or a mixture.
 
         Args:
             position: of the hand, seen from the base, (..., 3).
-            rotation: of the hand, (..., 3, 3); orthogonal within 1e-3.  One that is rounded, off
-                by more than 1e-6, counts as the nearest rotation.
+            rotation: of the hand, a matrix (..., 3, 3), a quaternion (..., 4) in scipy's order x,
+                y, z, w, or scipy's `Rotation`.  A matrix must be orthogonal within 1e-3; one that
+                is off by more than 1e-6 counts as the nearest rotation.
             held: angles (...) of joints that do not move, within their limits, by index or name of
                 the joint; a locked joint, or all of them for the forward task.  One beyond a limit
                 by no more than float32 rounds counts as the limit.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
+            pose: position and rotation of the hand in one, (..., 4, 4).
+            direction: in which an axis of the hand points, (..., 3), of any length; in place of
+                `rotation`, it leaves the turn about that axis free.
+            axis: of the hand, "x", "y" or "z".
+            tool: a point of a tool, seen from the hand, (3,), or its pose, (4, 4).  Position,
+                rotation, pose and direction are then those of the tool.
         """
         arm, held, points = self.arm, held or {}, points or {}
         accepted = "a mapping of joints, by index or name, to angles"
@@ -193,18 +212,36 @@ class HingeNetwork:
         }
         require(len(angles) == len(held), "held", list(held), "of different joints")
         places = {node: _floats("points", point, (3,)) for node, point in points.items()}
+        if pose is not None:
+            is_alone = position is None and rotation is None and direction is None
+            require(is_alone, "pose", pose, "without position, rotation or direction beside it")
+            poses = require_poses("pose", pose)
+            position, rotation = poses[..., :3, 3], poses[..., :3, :3]
+        require(rotation is None or direction is None, "direction", direction, "without rotation")
+        require_choice("axis", axis, get_args(Axis))
+        zero_posture, home = self._zero_posture, arm.home
+        if tool is not None:
+            home = home @ _tool_pose(tool)
+            nodes = np.vstack([zero_posture.nodes, home[:3, 3]])
+            zero_posture = zero_posture._replace(nodes=nodes)
+        last = len(zero_posture.nodes) - 1
         if position is not None:
-            places[arm.node_count - 1] = _floats("position", position, (3,))
-        turn = np.zeros((3, 3))  # of the whole arm in its zero posture
+            places[last] = _floats("position", position, (3,))
+        turn: Floats = np.zeros((3, 3))  # of the whole arm in its zero posture
+        held_axis: Floats = np.zeros(3)
         if rotation is not None:
-            of_hand = nearest_rotations("rotation", _floats("rotation", rotation, (3, 3)))
-            turn = of_hand @ arm.home[:3, :3].T
+            turn = _rotations(rotation) @ home[:3, :3].T
+        if direction is not None:
+            aim = _floats("direction", direction, (3,))
+            length = np.linalg.norm(aim, axis=-1, keepdims=True)
+            require(bool((length > 0).all()), "direction", direction, "other than zero")
+            held_axis = home[:3, get_args(Axis).index(axis)]
+            # The product of this and the turn of a posture has twice the cosine as its trace.
+            turn = 2 * (aim / length)[..., :, None] * held_axis
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
-        tasks = np.zeros(
-            require_batch("clamps", shapes), task_type(arm.joint_count, arm.node_count)
-        )
+        tasks = np.zeros(require_batch("clamps", shapes), task_type(arm.joint_count, last + 1))
         tasks["low"], tasks["high"] = arm.limits.T
         tasks["rotation"] = turn
         for (joint, angle), value in zip(angles.items(), held.values()):
@@ -217,10 +254,11 @@ class HingeNetwork:
             tasks["low"][..., joint] = tasks["high"][..., joint] = within
         for node, place in places.items():
             tasks["place"][..., node, :] = place
-        is_placed = np.zeros(arm.node_count, np.bool_)
+        is_placed = np.zeros(last + 1, np.bool_)
         is_placed[list(places)] = True
+        has_rotation = rotation is not None or direction is not None
         free = max(1, arm.joint_count - len(held))
-        return HingeClamps(tasks, is_placed, rotation is not None, free)
+        return HingeClamps(tasks, is_placed, has_rotation, free, zero_posture, held_axis)
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -243,7 +281,7 @@ class HingeNetwork:
 
         blocks["angle"] = in_lanes(state.joint_angles)
         blocks["velocity"] = in_lanes(state.joint_velocities)
-        self._settle(blocks, self._course(clamps, iterations))
+        _settle(blocks, clamps.arm, self._course(clamps, iterations))
         return HingeState(in_rows(blocks["angle"]), in_rows(blocks["velocity"]))
 
     def solve(
@@ -257,6 +295,11 @@ class HingeNetwork:
         tolerance: tuple[float, float] = (1e-3, 1e-2),
         seed: int = 0,
         iterations: int = 150,
+        *,
+        pose: ArrayLike | None = None,
+        direction: ArrayLike | None = None,
+        axis: Axis = "z",
+        tool: ArrayLike | None = None,
     ) -> HingeSolution:
         """Return where the network settles, from many starts.
 
@@ -279,8 +322,21 @@ class HingeNetwork:
             tolerance: of position, m, and of rotation, radians: two numbers.
             seed: of the starts.
             iterations: of each start at most.
+            pose: of the hand, as `direction`, `axis` and `tool` see `clamp`.
+            direction: in which an axis of the hand points.
+            axis: of the hand.
+            tool: whose point or pose the hand's stand for.
         """
-        clamps = self.clamp(position, rotation, held, points)
+        clamps = self.clamp(
+            position,
+            rotation,
+            held,
+            points,
+            pose=pose,
+            direction=direction,
+            axis=axis,
+            tool=tool,
+        )
         require_whole("starts", starts)
         require_whole("iterations", iterations)
         require_whole("seed", seed, least=0, most=np.inf)
@@ -293,7 +349,8 @@ class HingeNetwork:
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
         if not (clamps.is_placed.any() or clamps.has_rotation or held):
-            raise UserError("solve must be given a task: a position, a rotation, points or held")
+            accepted = "a position, a rotation, a pose, a direction, points or held"
+            raise UserError(f"solve must be given a task: {accepted}")
         loose = max(LOOSE[0], LOOSE_SHARE * self._length)
         course = self._course(
             clamps,
@@ -310,7 +367,7 @@ class HingeNetwork:
             share=self._calm_share(clamps), newton_steps=2 * NEWTON_STEPS, is_exact=True
         )
         pool = _pool(self.arm, max(starts, POOL), seed)
-        race = _Race(course, calm, far, turn, pool, starts)
+        race = _Race(clamps.arm, course, calm, far, turn, pool, starts)
         batch, tasks = tasks.shape, tasks.reshape(-1)
         ends = np.empty(len(tasks), self._end_type)
         for least in range(0, len(tasks), _CHUNK):
@@ -332,11 +389,11 @@ class HingeNetwork:
                 postures = np.where((lanes == 0)[:, None], start[:, None], race.pool[lanes])
                 course = course._replace(alone=ALONE, near=(NEAR_START * self._length) ** 2)
             else:
-                order = self._order(blocks, course, race.pool) if order is None else order
+                order = self._order(blocks, race) if order is None else order
                 postures = race.pool[order[:, lanes - LANES * (start is not None)]]
             blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
             blocks["start"] = (self._middle if start is None else start[rows])[..., None]
-            self._settle(blocks, course)
+            _settle(blocks, race.arm, course)
 
             away = None
             if start is not None:
@@ -369,27 +426,25 @@ class HingeNetwork:
             ends[name] = values[rows, lane]
         return ends
 
-    def _order(self, blocks: Records, course: Course, pool: Floats) -> NDArray[np.intp]:
+    def _order(self, blocks: Records, race: _Race) -> NDArray[np.intp]:
         """Return the order of a pool for each task, those first that lack least, (batch, size)."""
-        parts = len(pool) // LANES
+        parts, pool = len(race.pool) // LANES, race.pool
         tried = np.repeat(blocks, parts)
         postures = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
         tried["angle"] = np.tile(postures, (len(blocks), 1, 1))
-        self._settle(tried, course._replace(iterations=0, newton_steps=0, turns_back=False))
+        course = race.course._replace(iterations=0, newton_steps=0, turns_back=False)
+        _settle(tried, race.arm, course)
         return np.argsort(tried["merit"].reshape(len(blocks), -1), axis=1)
 
     def _blocks(self, tasks: Records) -> Records:
         """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
-        blocks = np.zeros(len(tasks), block_type(self.arm.joint_count, self.arm.node_count))
+        blocks = np.zeros(
+            len(tasks), block_type(self.arm.joint_count, tasks.dtype["place"].shape[0])
+        )
         for name in tasks.dtype.names or ():
             values = tasks[name]
             blocks[name] = np.moveaxis(values, 1, -1) if tasks.ndim == 2 else values[..., None]
         return blocks
-
-    def _settle(self, blocks: Records, course: Course) -> None:
-        from mmc_gym.robots.iteration import settle
-
-        settle(blocks, self._zero_posture, course)
 
     def _course(self, clamps: HingeClamps, iterations: int, **more: Any) -> Course:
         """Return the course of `run`, or with `more` that of `solve`."""
@@ -397,7 +452,7 @@ class HingeNetwork:
         share = self._calm_share(clamps) if is_calm else 3 / clamps.free_joints
         weight = 2 * (self.hand_size * self._length) ** 2 if clamps.has_rotation else 0.0
         decay = float(self.velocity_decay)
-        return Course(clamps.is_placed, weight, share, decay, iterations, **more)
+        return Course(clamps.is_placed, clamps.axis, weight, share, decay, iterations, **more)
 
     def _calm_share(self, clamps: HingeClamps) -> float:
         """Return 1/d for starts after the first ones have failed."""
@@ -432,12 +487,19 @@ class HingeNetwork:
 class _Race(NamedTuple):
     """How `HingeNetwork.solve` lets starts settle."""
 
+    arm: ZeroPosture
     course: Course  #: of the first block of starts
     calm: Course  #: of those that follow
     far: float  #: tolerance of held nodes, m
     turn: float  #: tolerance of the hand's rotation, radians
     pool: Floats  #: postures to start from, (size, n)
     starts: int  #: at most
+
+
+def _settle(blocks: Records, arm: ZeroPosture, course: Course) -> None:
+    from mmc_gym.robots.iteration import settle
+
+    settle(blocks, arm, course)
 
 
 @lru_cache(maxsize=16)
@@ -453,6 +515,34 @@ def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
 
 def _are_tolerances(bounds: tuple[float, ...]) -> bool:
     return len(bounds) == 2 and all(0 < bound < np.inf for bound in bounds)
+
+
+def _tool_pose(tool: ArrayLike) -> Floats:
+    """Return the pose of a tool, (4, 4), that is given as such or as a point, (3,)."""
+    value = require_array("tool", tool)
+    if value.shape == (4, 4):
+        return require_poses("tool", value)
+    require(value.shape == (3,), "tool", value.shape, "of shape (3,) or (4, 4)")
+    pose = np.eye(4)
+    pose[:3, 3] = _floats("tool", value, (3,))
+    return pose
+
+
+def _rotations(rotation: Any) -> Floats:
+    """Return rotations (..., 3, 3) that are given as such, as quaternions or as scipy's."""
+    value = require_array(
+        "rotation", rotation.as_matrix() if hasattr(rotation, "as_matrix") else rotation
+    )
+    is_pose = value.shape[-2:] == (4, 4) and bool((value[..., 3, :] == (0, 0, 0, 1)).all())
+    if value.shape[-1:] == (4,) and not is_pose:
+        quaternions = _floats("rotation", value, (4,))
+        length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+        is_unit = bool((np.abs(length - 1) <= 1e-3).all())
+        require(is_unit, "rotation", rotation, "a quaternion x, y, z, w of length 1 within 0.001")
+        quaternions /= length
+        cross = np.cross(np.eye(3), quaternions[..., None, :3])  # cross @ x = (x, y, z) × x
+        return np.eye(3) + 2 * quaternions[..., 3:, None] * cross + 2 * cross @ cross
+    return nearest_rotations("rotation", _floats("rotation", value, (3, 3)))
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from mmc_gym import HingeArm, HingeNetwork, UserError
 
@@ -125,3 +127,143 @@ def test_a_product_of_a_hundred_rotations_in_single_precision_is_a_rotation():
 def test_a_matrix_that_is_no_rotation_is_refused(matrix):
     with pytest.raises(UserError, match=r"rotation, orthogonal within 0\.001 .* off by 0\.0"):
         HingeNetwork(PANDA).solve(rotation=matrix)
+
+
+def forward(arm, angles):
+    """Return the pose of the hand by matrix exponentials, without the package."""
+    pose = np.eye(4)
+    for axis, point, angle in zip(arm.axes, arm.points, angles):
+        twist = np.zeros((4, 4))
+        twist[:3, :3] = np.cross(np.eye(3), axis)
+        twist[:3, 3] = -np.cross(axis, point)
+        pose = pose @ expm(angle * twist)
+    return pose @ arm.home
+
+
+def angle_between(turn, other):
+    return np.arccos(np.clip((np.trace(turn.T @ other) - 1) / 2, -1, 1))
+
+
+@pytest.mark.parametrize("arm", [UR5, PANDA, ENDLESS])
+def test_the_jacobian_is_that_of_finite_differences(arm):
+    for angles in np.random.default_rng(2).uniform(-2, 2, (5, arm.joint_count)):
+        pose, jacobian = forward(arm, angles), arm.jacobian(angles)
+        np.testing.assert_allclose(arm.forward(angles), pose, atol=1e-12)
+        for joint, nudge in enumerate(1e-6 * np.eye(arm.joint_count)):
+            rate = (forward(arm, angles + nudge) - forward(arm, angles - nudge)) / 2e-6
+            spin = rate[:3, :3] @ pose[:3, :3].T
+            turning = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+            np.testing.assert_allclose(jacobian[:, joint], [*rate[:3, 3], *turning], atol=1e-8)
+    batch = np.zeros((2, 3, arm.joint_count))
+    assert arm.jacobian(batch).shape == (2, 3, 6, arm.joint_count)
+
+
+def test_a_rotation_may_be_a_matrix_a_quaternion_or_of_scipy_and_a_pose_is_whole():
+    network, poses = HingeNetwork(PANDA), poses_of(PANDA, 6)
+    turns, places = Rotation.from_matrix(poses[:, :3, :3]), poses[:, :3, 3]
+    expected = network.clamp(places, poses[:, :3, :3]).tasks
+    quaternions = turns.as_quat()
+    tasks = [network.clamp(places, kind).tasks for kind in (turns, quaternions, -quaternions)]
+    tasks.append(network.clamp(pose=poses).tasks)
+    tasks.append(network.clamp(places.reshape(2, 3, 3), quaternions.reshape(2, 3, 4)).tasks.ravel())
+    for name in expected.dtype.names:
+        for task in tasks:
+            np.testing.assert_allclose(task[name], expected[name], atol=1e-14)
+    single = network.solve(places[0], turns[0], tolerance=(1e-6, 1e-6))
+    assert single.is_solved.shape == ()
+    np.testing.assert_allclose(forward(PANDA, single.joint_angles), poses[0], atol=2e-6)
+
+
+@pytest.mark.parametrize("arm", [UR5, PANDA])
+@pytest.mark.parametrize("has_pose", [True, False])
+def test_a_tool_is_where_the_hand_would_be(arm, has_pose):
+    tool = np.eye(4)
+    tool[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 1.0]).as_matrix()
+    tool[:3, 3] = 0.05, -0.1, 0.2
+    poses = poses_of(arm, 20) @ tool
+    network, tolerance = HingeNetwork(arm), (1e-6, 1e-6)
+    if has_pose:
+        solution = network.solve(pose=poses, tool=tool, tolerance=tolerance)
+    else:
+        solution = network.solve(poses[:, :3, 3], tool=tool[:3, 3], tolerance=tolerance)
+    assert solution.is_solved.all()
+    for angles, pose in zip(solution.joint_angles, poses):
+        reached = forward(arm, angles) @ tool
+        np.testing.assert_allclose(reached[:3, 3], pose[:3, 3], atol=2e-6)
+        assert not has_pose or angle_between(reached[:3, :3], pose[:3, :3]) < 2e-6
+
+
+def test_a_tool_leaves_the_nodes_as_they_are():
+    """The hand's own node may be held beside the tool, and the tool settles in `run`, too."""
+    angles, tool = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1]), [0.1, 0, 0.1]
+    network, nodes, hand = HingeNetwork(PANDA), PANDA.nodes(angles), forward(PANDA, angles)
+    tip = (hand @ [*tool, 1])[:3]
+    points = {1: nodes[1], 3: nodes[3]}
+    solution = network.solve(tip, points=points, tool=tool, tolerance=(1e-6, 1e-6))
+    assert solution.is_solved
+    np.testing.assert_allclose(PANDA.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
+    clamps = network.clamp(tip, tool=tool)
+    settled = network.run(network.state(angles + 0.1), clamps, 300).joint_angles
+    np.testing.assert_allclose((forward(PANDA, settled) @ [*tool, 1])[:3], tip, atol=1e-3)
+
+
+@pytest.mark.parametrize("arm", [UR5, PANDA])
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("has_tool", [True, False])
+def test_one_axis_of_the_hand_points_in_a_direction(arm, axis, has_tool):
+    tool = np.eye(4)
+    if has_tool:
+        tool[:3, :3] = Rotation.from_rotvec([0.3, -0.5, 1.0]).as_matrix()
+        tool[:3, 3] = 0.05, -0.1, 0.2
+    poses, column = poses_of(arm, 40) @ tool, "xyz".index(axis)
+    directions = poses[:, :3, column]
+    for bound in (1e-2, 1e-6):
+        solution = HingeNetwork(arm).solve(
+            poses[:, :3, 3],
+            direction=3 * directions,
+            axis=axis,
+            tool=tool if has_tool else None,
+            tolerance=(bound / 10, bound),
+        )
+        assert solution.is_solved.all()
+        reached = np.array([forward(arm, angles) for angles in solution.joint_angles]) @ tool
+        np.testing.assert_allclose(reached[:, :3, 3], poses[:, :3, 3], atol=bound)
+        away = np.linalg.norm(np.cross(reached[:, :3, column], directions), axis=-1)
+        np.testing.assert_allclose(away, solution.rotation_error, atol=1e-6)
+        assert away.max() < 1.01 * bound
+        assert ((reached[:, :3, column] * directions).sum(axis=-1) > 0).all()
+
+
+def test_a_direction_leaves_the_turn_about_it_free():
+    """Five joints of a UR5 reach any place in any direction that six do, not in any rotation."""
+    poses = poses_of(UR5, 40)
+    task = {"held": {5: 0.0}, "tolerance": (1e-4, 1e-3)}
+    network = HingeNetwork(UR5)
+    solution = network.solve(poses[:, :3, 3], direction=poses[:, :3, 2], **task)
+    assert solution.is_solved.all()
+    assert not network.solve(pose=poses, **task).is_solved.any()
+
+
+EYE = np.eye(4)
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ({"rotation": [0, 0, 0, 2.0]}, "rotation must be a quaternion x, y, z, w of length 1"),
+        ({"rotation": EYE}, r"rotation must be of shape \(..., 3, 3\)"),
+        ({"rotation": "x"}, "rotation must be an array"),
+        ({"rotation": EYE[:3, :3], "direction": [0, 0, 1]}, "direction must be without rotation"),
+        ({"direction": [0, 0, 0]}, "direction must be other than zero"),
+        ({"direction": [0, 0, 1], "axis": "w"}, "axis 'w' is not accepted"),
+        ({"pose": EYE}, "pose must be without position"),
+        ({"pose": 2 * EYE, "position": None}, "pose must be a pose"),
+        ({"pose": EYE[:3, :3], "position": None}, r"pose must be of shape \(..., 4, 4\)"),
+        ({"tool": [0, 0]}, r"tool must be of shape \(3,\) or \(4, 4\)"),
+        ({"tool": [0, 0, np.inf]}, "tool must be finite"),
+        ({"tool": np.diag([2, 1, 1, 1])}, "tool must be a rotation"),
+    ],
+)
+def test_a_target_or_a_tool_that_does_not_fit_is_refused(task, message):
+    with pytest.raises(UserError, match=message):
+        HingeNetwork(PANDA).solve(**{"position": [0.4, 0.2, 0.5], **task})
