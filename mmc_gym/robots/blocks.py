@@ -36,6 +36,7 @@ class Course(NamedTuple):
     alone: int = 0  #: iterations in which a block stops only when its first posture has settled
     near: float = 0.0  #: a first posture that lacks less, m², has all iterations alone
     turns_back: bool = False  #: whether joints turn by whole turns, as near to `start` as can be
+    takes_all: bool = False  #: whether blocks stop only when all of their postures have settled
     newton_steps: int = 0  #: steps of Newton's method that follow then
     is_exact: bool = False  #: whether they follow in all blocks
     ridge: float = 0.0  #: their least damping, m²

@@ -31,7 +31,10 @@ def settle(blocks: Any, arm: Any, course: Any) -> None:
                 is_near = block.merit[0] < course.near
                 block.alone = course.iterations if is_near else course.alone
             settled = block.settled[0]
-            if time >= block.alone:
+            if course.takes_all:
+                for k in range(LANES):
+                    settled = min(settled, block.settled[k])
+            elif time >= block.alone:
                 for k in range(LANES):
                     settled = max(settled, block.settled[k])
             if settled > 0.0 or time == course.iterations:

@@ -83,6 +83,8 @@ NEWTON_STEPS = 6
 RIDGE = 3.0  # square root of the least damping of these steps, tolerances of position
 FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
+DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians
+_NO_START = "without prefer or solutions, where all starts settle"
 _CHUNK = 64  # tasks in memory at once
 _SINGLE = float(np.finfo(np.float32).eps)
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
@@ -121,7 +123,7 @@ class HingeSolution:
     def __str__(self) -> str:
         """Return in one line how many tasks are solved, and by how much the worst one misses."""
         errors = self.position_error, self.rotation_error
-        far, turn = (np.max(error, initial=0.0) for error in errors)
+        far, turn = (np.nanmax(error, initial=0.0) for error in errors)
         count = f"{np.sum(self.is_solved)} of {np.size(self.is_solved)} solved"
         return f"{count}; the worst misses by {1e3 * far:.3g} mm and {turn:.3g} rad"
 
@@ -300,6 +302,8 @@ class HingeNetwork:
         direction: ArrayLike | None = None,
         axis: Axis = "z",
         tool: ArrayLike | None = None,
+        prefer: ArrayLike | None = None,
+        solutions: int | None = None,
     ) -> HingeSolution:
         """Return where the network settles, from many starts.
 
@@ -326,6 +330,11 @@ class HingeNetwork:
             direction: in which an axis of the hand points.
             axis: of the hand.
             tool: whose point or pose the hand's stand for.
+            prefer: postures (..., n).  All starts settle, and of the solutions the nearest to it
+                wins, each joint by its nearest whole turn.
+            solutions: so many are returned, on an axis after those of the batch, the nearest to
+                `prefer` or to the middle of the limits first.  All starts settle.  They differ by
+                0.1 rad in some joint; where there are fewer, the rest is nan and not solved.
         """
         clamps = self.clamp(
             position,
@@ -342,10 +351,13 @@ class HingeNetwork:
         require_whole("seed", seed, least=0, most=np.inf)
         accepted = "two positive numbers, of position in m and of rotation in radians"
         far, turn = require_numbers("tolerance", tolerance, accepted, _are_tolerances)
-        tasks, first = clamps.tasks, None
-        if start is not None:
-            first = _floats("start", start, (self.arm.joint_count,))
-            batch = require_batch("start", [tasks.shape, first.shape[:-1]])
+        require(start is None or (prefer is None and solutions is None), "start", start, _NO_START)
+        tasks, name = clamps.tasks, "start" if prefer is None else "prefer"
+        reference = start if prefer is None else prefer
+        first = None
+        if reference is not None:
+            first = _floats(name, reference, (self.arm.joint_count,))
+            batch = require_batch(name, [tasks.shape, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
             tasks = np.broadcast_to(tasks, batch)
         if not (clamps.is_placed.any() or clamps.has_rotation or held):
@@ -369,11 +381,17 @@ class HingeNetwork:
         pool = _pool(self.arm, max(starts, POOL), seed)
         race = _Race(clamps.arm, course, calm, far, turn, pool, starts)
         batch, tasks = tasks.shape, tasks.reshape(-1)
-        ends = np.empty(len(tasks), self._end_type)
+        count = 1 if solutions is None else require_whole("solutions", solutions, most=starts)
+        takes_all = prefer is not None or solutions is not None
+        ends = np.empty((len(tasks), count), self._end_type)
         for least in range(0, len(tasks), _CHUNK):
             rows = slice(least, least + _CHUNK)
-            ends[rows] = self._best(race, tasks[rows], None if first is None else first[rows])
-        ends = ends.reshape(batch)
+            of_rows = None if first is None else first[rows]
+            if takes_all:
+                ends[rows] = self._nearest(race, tasks[rows], of_rows, count)
+            else:
+                ends[rows, 0] = self._best(race, tasks[rows], of_rows)
+        ends = ends.reshape(batch if solutions is None else (*batch, count))
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
 
@@ -411,19 +429,50 @@ class HingeNetwork:
             order = None if order is None else order[left]
         return ends
 
+    def _nearest(self, race: _Race, tasks: Records, near: Floats | None, count: int) -> Records:
+        """Return the solutions nearest to `near`, or to the middle, (tasks, count)."""
+        near = np.tile(self._middle, (len(tasks), 1)) if near is None else near
+        lanes = np.arange(-(-race.starts // LANES) * LANES) % race.starts
+        parts = len(lanes) // LANES
+        blocks = np.repeat(self._blocks(tasks), parts)
+        postures = np.where((lanes == 0)[:, None], near[:, None], race.pool[lanes])
+        postures = postures.reshape(-1, LANES, self.arm.joint_count)
+        blocks["angle"] = np.swapaxes(postures, 1, 2)
+        blocks["start"] = np.repeat(near, parts, axis=0)[..., None]
+        _settle(blocks, race.arm, race.calm._replace(takes_all=True))
+        all_ends = self._lanes(race, blocks, blocks["away"]).reshape(len(tasks), -1)
+        nearest = np.zeros((len(tasks), count), self._end_type)
+        for name in ("angle", "far", "turn"):
+            nearest[name] = np.nan
+        for row, ends in zip(nearest, np.sort(all_ends, axis=1, order="rank", kind="stable")):
+            row[0], size = ends[0], 1
+            for end in ends[ends["rank"] < 0]:
+                if size == count:
+                    break
+                turn = np.abs(row["angle"][:size] - end["angle"])
+                if np.minimum(turn, np.abs(turn - 2 * np.pi)).max(axis=1).min() > DISTINCT:
+                    row[size] = end
+                    size += 1
+        return nearest
+
     def _ends(self, race: _Race, blocks: Records, away: Floats | None) -> Records:
         """Return the best posture of each block: of those that have settled the least `away`."""
+        ends = self._lanes(race, blocks, blocks["merit"] if away is None else away)
+        best: Records = ends[np.arange(len(blocks)), ends["rank"].argmin(axis=1)]
+        return best
+
+    def _lanes(self, race: _Race, blocks: Records, away: Floats) -> Records:
+        """Return where all postures of blocks have ended, (blocks, lanes)."""
         far, turn = np.sqrt(blocks["miss"]), np.zeros_like(blocks["miss"])
         if race.course.weight:
             turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
         is_settled = (far < race.far) & (turn < race.turn)
-        away = blocks["merit"] if away is None else away
         rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
-        rows, lane = np.arange(len(blocks)), rank.argmin(axis=1)
-        ends = np.empty(len(blocks), self._end_type)
-        ends["angle"], ends["iterations"] = blocks["angle"][rows, :, lane], blocks["iterations"]
+        ends = np.empty(rank.shape, self._end_type)
+        ends["angle"] = np.swapaxes(blocks["angle"], 1, 2)
+        ends["iterations"] = blocks["iterations"][:, None]
         for name, values in (("far", far), ("turn", turn), ("rank", rank)):
-            ends[name] = values[rows, lane]
+            ends[name] = values
         return ends
 
     def _order(self, blocks: Records, race: _Race) -> NDArray[np.intp]:

@@ -267,3 +267,69 @@ EYE = np.eye(4)
 def test_a_target_or_a_tool_that_does_not_fit_is_refused(task, message):
     with pytest.raises(UserError, match=message):
         HingeNetwork(PANDA).solve(**{"position": [0.4, 0.2, 0.5], **task})
+
+
+SOLVABLE = np.array([0.5, -1.2, 1.6, -0.7, 1.1, 0.4])  # eight postures of a UR5 have its pose
+
+
+def test_all_solutions_are_found_the_nearest_to_the_middle_first():
+    pose = forward(UR5, SOLVABLE)
+    solution = HingeNetwork(UR5).solve(pose=pose, solutions=10, tolerance=(1e-6, 1e-6))
+    assert solution.is_solved.tolist() == [True] * 8 + [False] * 2
+    assert np.isnan(solution.joint_angles[8:]).all()
+    angles = solution.joint_angles[:8]
+    for posture in angles:
+        np.testing.assert_allclose(forward(UR5, posture), pose, atol=5e-6)
+    apart = np.abs(angles[:, None] - angles[None]).max(axis=-1)
+    assert (apart + np.eye(8) > 0.1).all()
+    assert (np.diff(np.linalg.norm(angles, axis=-1)) >= 0).all()
+    assert np.abs(angles - SOLVABLE).max(axis=-1).min() < 1e-4
+    assert str(solution).startswith("8 of 10 solved; the worst misses by")
+
+
+def test_of_all_solutions_the_nearest_to_what_is_preferred_wins():
+    pose, network = forward(UR5, SOLVABLE), HingeNetwork(UR5)
+    angles = network.solve(pose=pose, solutions=8, tolerance=(1e-6, 1e-6)).joint_angles
+    turned = angles + 2 * np.pi * np.array([1, 0, 0, 0, 0, -1]) * np.sign(-angles[:, :1])
+    turned = np.where((turned > UR5.limits[:, 0]) & (turned < UR5.limits[:, 1]), turned, angles)
+    solution = network.solve(pose=pose, prefer=turned + 0.1, tolerance=(1e-6, 1e-6))
+    np.testing.assert_allclose(solution.joint_angles, turned, atol=1e-4)
+
+
+def test_a_preferred_posture_of_a_redundant_arm_is_nearer_than_one_that_is_followed():
+    poses, rest = poses_of(PANDA, 30), PANDA.limits.mean(axis=1)
+    network = HingeNetwork(PANDA)
+    preferred = network.solve(pose=poses, prefer=rest)
+    followed = network.solve(pose=poses, start=rest)
+    assert preferred.is_solved.all()
+    away = [np.linalg.norm(s.joint_angles - rest, axis=-1) for s in (preferred, followed)]
+    assert (away[0] < away[1] + 0.1).all()
+    assert away[0].mean() < 0.9 * away[1].mean()
+    alone = network.solve(pose=poses[3], prefer=rest)
+    np.testing.assert_array_equal(alone.joint_angles, preferred.joint_angles[3])
+
+
+def test_solutions_of_a_batch_have_an_axis_and_out_of_reach_the_first_is_the_nearest():
+    network, poses = HingeNetwork(PANDA), poses_of(PANDA, 6).reshape(2, 3, 4, 4)
+    solution = network.solve(pose=poses, prefer=np.zeros(7), solutions=3)
+    assert solution.joint_angles.shape == (2, 3, 3, 7)
+    assert solution.is_solved.all()
+    far = network.solve([0.4, 0.2, 1.5], solutions=2)
+    assert not far.is_solved.any()
+    assert abs(far.position_error[0] - network.solve([0.4, 0.2, 1.5]).position_error) < 1e-3
+    assert np.isfinite(far.joint_angles).all(axis=-1).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ({"solutions": 0}, "solutions must be a whole number of at least 1"),
+        ({"solutions": 129}, "solutions must be at most 128"),
+        ({"prefer": np.zeros(6)}, r"prefer must be of shape \(..., 7\)"),
+        ({"prefer": np.zeros(7), "start": np.zeros(7)}, "start must be without prefer"),
+        ({"solutions": 2, "start": np.zeros(7)}, "start must be without prefer or solutions"),
+    ],
+)
+def test_what_is_preferred_has_to_fit(task, message):
+    with pytest.raises(UserError, match=message):
+        HingeNetwork(PANDA).solve([0.4, 0.2, 0.5], **task)
