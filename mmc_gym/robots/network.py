@@ -83,6 +83,8 @@ NEWTON_STEPS = 6
 RIDGE = 3.0  # square root of the least damping of these steps, tolerances of position
 FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
+PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of tolerance × arm's length
+PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians
 _NO_START = "without prefer or solutions, where all starts settle"
 _CHUNK = 64  # tasks in memory at once
@@ -237,7 +239,9 @@ class HingeNetwork:
             aim = _floats("direction", direction, (3,))
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
             require(bool((length > 0).all()), "direction", direction, "other than zero")
-            held_axis = home[:3, get_args(Axis).index(axis)]
+            held_axis = home[
+                :3, get_args(Axis).index(axis)
+            ].copy()  # a slice would be compiled anew
             # The product of this and the turn of a posture has twice the cosine as its trace.
             turn = 2 * (aim / length)[..., :, None] * held_axis
         shapes = [angle.shape for angle in angles.values()]
@@ -308,9 +312,10 @@ class HingeNetwork:
         """Return where the network settles, from many starts.
 
         The starts are postures drawn within the limits, those nearest to the task first; 16 settle
-        together, and the first to settle wins.  Where none does, the best is returned.  For
-        tolerances below 1 mm or 0.01 rad, from a near `start` and in later starts, steps of
-        Newton's method follow.
+        together, and the first to settle wins.  Where none does, the best is returned: places, the
+        hand's too, as near as can be, and its rotation as near as they leave it.  For tolerances
+        below 1 mm or 0.01 rad, from a near `start` and in later starts, steps of Newton's method
+        follow.
 
         Args:
             position: see `clamp`, as `rotation`, `held` and `points`.
@@ -379,7 +384,8 @@ class HingeNetwork:
             share=self._calm_share(clamps), newton_steps=2 * NEWTON_STEPS, is_exact=True
         )
         pool = _pool(self.arm, max(starts, POOL), seed)
-        race = _Race(clamps.arm, course, calm, far, turn, pool, starts)
+        has_both = clamps.has_rotation and bool(clamps.is_placed.any())
+        race = _Race(clamps.arm, course, calm, far, turn, pool, starts, has_both)
         batch, tasks = tasks.shape, tasks.reshape(-1)
         count = 1 if solutions is None else require_whole("solutions", solutions, most=starts)
         takes_all = prefer is not None or solutions is not None
@@ -423,10 +429,25 @@ class HingeNetwork:
             ends["iterations"][rows] = new_ends["iterations"]
             ends[rows[is_better]] = new_ends[is_better]
             left = ends["rank"][rows] >= 0
-            if not left.any():
-                break
             rows, blocks = rows[left], blocks[left]
             order = None if order is None else order[left]
+            if not len(rows):
+                return ends
+        if race.has_both:
+            blocks["angle"][:, :, 0] = ends["angle"][rows]
+            ends[rows] = self._place_first(race, blocks, ends["iterations"][rows])
+        return ends
+
+    def _place_first(self, race: _Race, blocks: Records, iterations: NDArray[np.int64]) -> Records:
+        """Return the best postures of blocks that have not settled, places before rotation.
+
+        So little weight of the rotation costs a share of the tolerance of places at most.
+        """
+        weight = min(PLACE_FIRST * race.far * self._length, race.calm.weight)
+        course = race.calm._replace(weight=weight, iterations=0, newton_steps=PLACE_STEPS)
+        _settle(blocks, race.arm, course)
+        ends = self._ends(race, blocks, None)
+        ends["iterations"] = iterations
         return ends
 
     def _nearest(self, race: _Race, tasks: Records, near: Floats | None, count: int) -> Records:
@@ -444,7 +465,8 @@ class HingeNetwork:
         nearest = np.zeros((len(tasks), count), self._end_type)
         for name in ("angle", "far", "turn"):
             nearest[name] = np.nan
-        for row, ends in zip(nearest, np.sort(all_ends, axis=1, order="rank", kind="stable")):
+        all_ends.sort(axis=1, order="rank", kind="stable")
+        for row, ends in zip(nearest, all_ends):
             row[0], size = ends[0], 1
             for end in ends[ends["rank"] < 0]:
                 if size == count:
@@ -453,6 +475,11 @@ class HingeNetwork:
                 if np.minimum(turn, np.abs(turn - 2 * np.pi)).max(axis=1).min() > DISTINCT:
                     row[size] = end
                     size += 1
+        left = nearest["rank"][:, 0] >= 0
+        if race.has_both and left.any():
+            blocks = blocks[::parts][left]
+            blocks["angle"] = np.swapaxes(all_ends["angle"][left, :LANES], 1, 2)
+            nearest[left, 0] = self._place_first(race, blocks, nearest["iterations"][left, 0])
         return nearest
 
     def _ends(self, race: _Race, blocks: Records, away: Floats | None) -> Records:
@@ -543,6 +570,7 @@ class _Race(NamedTuple):
     turn: float  #: tolerance of the hand's rotation, radians
     pool: Floats  #: postures to start from, (size, n)
     starts: int  #: at most
+    has_both: bool  #: whether places and rotation are held
 
 
 def _settle(blocks: Records, arm: ZeroPosture, course: Course) -> None:

@@ -333,3 +333,31 @@ def test_solutions_of_a_batch_have_an_axis_and_out_of_reach_the_first_is_the_nea
 def test_what_is_preferred_has_to_fit(task, message):
     with pytest.raises(UserError, match=message):
         HingeNetwork(PANDA).solve([0.4, 0.2, 0.5], **task)
+
+
+@pytest.mark.parametrize("kind", ["rotation", "direction"])
+@pytest.mark.parametrize("bound", [1e-3, 1e-5])
+@pytest.mark.parametrize("prefer", [None, np.zeros(6)])
+def test_where_both_cannot_be_had_the_place_comes_first(kind, bound, prefer):
+    """The rotation is then as near as the place leaves it: no small change is better."""
+    arm = replace(UR5, limits=np.tile([-7, 7], (6, 1)))
+    poses, count = poses_of(arm, 30), 5 if kind == "rotation" else 4
+    held = dict.fromkeys(range(count, 6), 0.0)
+    postures = np.random.default_rng(3).uniform(-np.pi, np.pi, (30, 6)) * (np.arange(6) < count)
+    poses[:, :3, 3] = arm.forward(postures)[:, :3, 3]
+    aim = {"rotation": poses[:, :3, :3], "direction": poses[:, :3, 2]}
+    solution = HingeNetwork(arm).solve(
+        poses[:, :3, 3], held=held, prefer=prefer, tolerance=(bound, bound), **{kind: aim[kind]}
+    )
+    assert not solution.is_solved.any()
+    assert (solution.position_error < bound).mean() > 0.9
+    assert np.median(solution.position_error) < 0.1 * bound
+    slopes = []
+    for angles, pose in zip(solution.joint_angles, poses):
+        turn, jacobian = forward(arm, angles)[:3, :3], arm.jacobian(angles)[:, :count]
+        vectors = turn.T if kind == "rotation" else turn.T[2:]
+        targets = pose[:3, :3].T if kind == "rotation" else pose[:3, 2:3].T
+        pull = jacobian[3:].T @ np.cross(vectors, targets).sum(axis=0)
+        free = np.linalg.svd(jacobian[:3])[2][3:]
+        slopes.append(np.abs(free @ pull).max())
+    assert np.median(slopes) < 1e-3
