@@ -246,6 +246,8 @@ def _check_takes_env(function: Any, label: str) -> None:
     if error := _refusal(function, None):
         name = getattr(function, "__name__", "a function")
         accepted = f"{name}(env), called with the environment alone"
+        if isinstance(function, type):
+            accepted += f", or an object of the class, {name}(...)"
         raise UserError(f"agent {label!r} must be {accepted}, got {function}: {error}") from error
 
 

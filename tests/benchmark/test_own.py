@@ -206,7 +206,7 @@ def test_predict_may_take_an_observation_alone():
 @pytest.mark.parametrize(
     ("agent", "error", "message"),
     [
-        (Plain, UserError, "agent 'x' must be .*, called with the environment alone"),
+        (Plain, UserError, "agent 'x' must be .*, called with the environment alone, or an object"),
         (dict, UserError, "agent 'x' must be a class with predict"),
         (lambda env: 3, UserError, "agent 'x' must return an object with predict"),
         (lambda env: 1 / 0, ZeroDivisionError, "division"),
