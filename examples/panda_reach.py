@@ -46,12 +46,12 @@ class PandaReach(ReachInterface):
         home[2, 3] -= 0.105  # from the flange to between the fingers
         arm = replace(arm, home=home)
         super().__init__(
-            segment_lengths=tuple(np.linalg.norm(np.diff(arm.nodes(np.zeros(7)), axis=0), axis=1)),
+            segment_lengths=(),  # those of the arm
             control="joint_delta",
             speed_limit=TURN / STEP,
             servo_gain=1 / STEP,
             control_step=STEP,
-            joint_limits=tuple(map(tuple, arm.limits)),
+            joint_limits=arm.limits,
             success_distance=0.05,
             arm=arm,
         )

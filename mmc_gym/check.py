@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym.geometry import Floats, segments_from_joint_angles, wrap_angle
 from mmc_gym.interface import InterfacedEnv, InterfaceLike, ReachInterface, Seen
 
 TURN, STEPS = 0.2, 25  # radians that each joint is asked to turn, and in how many steps
 EPISODES = 3  # that are begun
 CLOSE = 0.02  # shares of the reach, or of what is compared
+FAR_TURN = 1.0  # radians, a turn whose action may be beyond the action space
+BEYOND = 0.05  # radians that an angle may be seen beyond a limit: noise
 
 
 def check_interface(env: gym.Env[Any, Any], interface: InterfaceLike, seed: int = 0) -> list[str]:
@@ -42,8 +45,10 @@ def check_interface(env: gym.Env[Any, Any], interface: InterfaceLike, seed: int 
     observations = [env.reset(seed=seed + number)[0] for number in range(EPISODES)]
     try:
         sights = [contract.look(observation) for observation in observations]
+        space = _action_space(contract, env, sights)
         lines = [*_batches(contract, observations, sights), *_hand(contract, sights)]
-        return [*lines, *_turns(contract, env, seed)]
+        turns = _turns(contract, env, seed, sights)
+        return [*lines, *space, *turns, *([] if lines else _limits(contract, sights))]
     except UserError as error:
         return [str(error)]
 
@@ -112,8 +117,49 @@ def _hand(contract: ReachInterface, sights: Sequence[Seen]) -> list[str]:
     return [*lines, f"hand of see is up to {farthest:.3g} from {about}"]
 
 
-def _turns(contract: ReachInterface, env: gym.Env[Any, Any], seed: int) -> list[str]:
-    """Ask each joint to turn, and compare speeds with how fast angles change."""
+def _action_space(
+    contract: ReachInterface, env: gym.Env[Any, Any], sights: Sequence[Seen]
+) -> list[str]:
+    """Compare actions for far targets with the action space."""
+    space = env.action_space
+    if not isinstance(space, gym.spaces.Box):
+        return []
+    for seen, way in product(sights, (FAR_TURN, -FAR_TURN)):
+        action = _action(contract, seen, contract.within_limits(seen.joint_angles + way))
+        accepted = f"of shape {space.shape}, as the actions of env are"
+        require(action.shape == space.shape, "what act returns", action.shape, accepted)
+        beyond = np.abs(action - action.clip(space.low, space.high))
+        place = np.unravel_index(beyond.argmax(), beyond.shape)
+        if beyond[place] > 1e-6 * max(1, np.abs(action[place])):  # float32 rounds
+            ends = f"{space.low[place]:.3g} to {space.high[place]:.3g}"
+            return [f"what act returns, {action[place]:.3g}, is not of the action space, {ends}"]
+    return []
+
+
+def _limits(contract: ReachInterface, sights: Sequence[Seen]) -> list[str]:
+    """Compare angles with the limits that the interface or its arm has."""
+    limits, lines = contract.joint_limits, []
+    if limits is None:
+        limits = getattr(contract.arm, "limits", ())
+    for joint, (low, high) in enumerate(limits):
+        angles = np.array([seen.joint_angles[joint] for seen in sights])
+        over = np.maximum(low - angles, angles - high)
+        if over.max() > BEYOND:
+            angle, turns = angles[over.argmax()], np.ceil(over.max() / (2 * np.pi))
+            turned = angle + 2 * np.pi * turns * np.sign(low - angle)
+            remedy = f": {turned:.3g} is the same" if low <= turned <= high else ""
+            about = f"{angle:.3g} for joint {joint}, beyond its limits {low:.3g} and {high:.3g}"
+            lines.append(f"joint_angles of see are {about}{remedy}")
+    return lines
+
+
+def _turns(
+    contract: ReachInterface, env: gym.Env[Any, Any], seed: int, sights: list[Seen]
+) -> list[str]:
+    """Ask each joint to turn, and compare speeds with how fast angles change.
+
+    What is seen meanwhile is added to `sights`.
+    """
     lines, ratios = [], []
     for joint in range(len(contract.look(env.reset(seed=seed)[0]).joint_angles)):
         best = np.zeros(2)
@@ -124,6 +170,7 @@ def _turns(contract: ReachInterface, env: gym.Env[Any, Any], seed: int) -> list[
             for _ in range(STEPS):
                 before, (observation, *_) = seen, env.step(_action(contract, seen, targets))
                 seen = contract.look(observation)
+                sights.append(seen)
                 change = wrap_angle(seen.joint_angles - before.joint_angles) / contract.control_step
                 mean = (seen.joint_speeds + before.joint_speeds) / 2
                 ratios += [(change @ mean, change @ change)]

@@ -22,6 +22,7 @@ from mmc_gym.robots import HingeArm
 from studies.other_bodies.reacher import BODIES, play
 
 LENGTHS = (1.0, 1.1)
+PANDA = HingeArm.named("panda")
 METRES = 0.1  # the environment's lengths are in metres, segment lengths are a tenth of that
 
 
@@ -138,8 +139,11 @@ def test_infos_tell_what_the_interface_sees():
     ("name", "interface", "message"),
     [
         ("ppo", INTERFACE, "DrawerInterface"),  # it reads our observations
-        ("ik-dls", replace(INTERFACE, arm=HingeArm.named("panda")), "in the plane"),
-        *(("mmc", wrong, "interface") for wrong in (3, "nowhere:interface", lambda env: None)),
+        ("ik-dls", replace(INTERFACE, segment_lengths=(), arm=PANDA), "in the plane"),
+        *(
+            ("mmc", wrong, "interface")
+            for wrong in (3, "nowhere:interface", lambda env: None, DrawerInterface)
+        ),
     ],
 )
 def test_an_interface_of_another_kind_and_what_is_none_are_refused(name, interface, message):
@@ -248,6 +252,9 @@ def test_late_angles_and_speeds_are_bridged_where_act_is_your_own(tmp_path):
     ("wrong", "line"),
     [
         ({}, None),
+        ({"action": lambda action: 9 * action}, "0.9, is not of the action space, -0.1 to 0.1"),
+        ({"action": lambda action: action[..., :1]}, r"of shape \(2,\), .* got \(1,\)"),
+        ({"action": lambda action: None}, "what act returns must be .* return missing.*None"),
         ({"hand": lambda seen: 0.1 * seen.hand}, "hand of see is 0.1 times"),
         ({"hand": lambda seen: seen.hand + 1}, r"\[1.0, 1.0\] .* the base"),
         ({"hand": lambda seen: 0 * seen.hand}, "hand of see"),
@@ -284,6 +291,7 @@ def test_a_joint_without_a_limit_turns_the_short_way_and_one_with_an_end_stops_t
         ({"joint_speeds": lambda seen: None}, "joint_speeds of see"),
         ({"seen": lambda seen: (seen.hand, seen.target)}, "what see returns must be a Seen"),
         ({"action": lambda action: action * np.inf}, "what act returns"),
+        ({"action": lambda action: None}, "what act returns must be an action: .*, got None"),
         ({"action": lambda action: [action, action]}, "what act returns"),
     ],
 )
@@ -311,11 +319,56 @@ def test_what_an_interface_returns_is_checked(wrong, message, name):
         ("lockable_joints", (2,)),
         ("has_drive", "yes"),
         ("arm", "panda"),
+        ("segment_lengths", ()),
     ],
 )
 def test_fields_of_an_interface_are_checked_when_it_is_made(field, value):
     with pytest.raises(UserError, match=field):
         replace(INTERFACE, **{field: value})
+
+
+def test_lengths_of_an_arm_in_space_are_its_own_and_limits_may_be_an_array():
+    in_space = partial(replace, INTERFACE, arm=PANDA)
+    interface = in_space(segment_lengths=(), joint_limits=PANDA.limits)
+    lengths = np.linalg.norm(np.diff(PANDA.nodes(np.zeros(7)), axis=0), axis=1)
+    np.testing.assert_allclose(interface.segment_lengths, lengths)
+    assert interface.joint_limits == tuple(map(tuple, PANDA.limits.tolist()))
+    within = interface.within_limits(np.full(7, 0.01))
+    assert within[3] == pytest.approx(PANDA.limits[3, 1])
+    assert in_space(segment_lengths=lengths.round(2)).segment_lengths == tuple(lengths.round(2))
+    for wrong in ((9, 9, 9), (0.33, 0.39), None, "far"):
+        with pytest.raises(UserError, match=r"segment_lengths must be those of arm, \[0.32"):
+            in_space(segment_lengths=wrong)
+    for wrong in (PANDA.limits[:5], PANDA.limits[:, ::-1], PANDA.limits * np.nan):
+        with pytest.raises(UserError, match="joint_limits must be 7 pairs"):
+            in_space(segment_lengths=(), joint_limits=wrong)
+
+
+class Turned(DrawerInterface):
+    def see(self, observation):
+        seen = super().see(observation)
+        return replace(seen, joint_angles=seen.joint_angles % (2 * np.pi))
+
+
+def test_a_check_finds_angles_of_limited_joints_beyond_their_limits():
+    fields = {**vars(INTERFACE), "joint_limits": np.array([[-2.0, 2.0], [-np.inf, 2.5]])}
+    assert check_interface(make_drawer(), DrawerInterface(**fields)) == []
+    lines = check_interface(make_drawer(), Turned(**fields))[-2:]
+    for joint, line in enumerate(lines):
+        pattern = rf"joint_angles of see are (\S+) for joint {joint}, beyond .*: (\S+) is the same"
+        angle, turned = map(float, re.fullmatch(pattern, line).groups())
+        assert angle - turned == pytest.approx(2 * np.pi, abs=0.02)
+    assert check_interface(make_drawer(), Turned(**{**fields, "joint_limits": None})) == []
+    narrow = {**fields, "joint_limits": ((-0.1, 0.1), (-3, 3))}
+    (line,) = check_interface(make_drawer(), DrawerInterface(**narrow))
+    assert re.fullmatch(r"joint_angles .* joint 0, beyond its limits -0.1 and 0.1", line)
+
+
+def test_an_action_of_another_size_is_refused_before_the_environment_gets_it():
+    env = InterfacedEnv(make_drawer(), INTERFACE)
+    env.reset(seed=0)
+    with pytest.raises(UserError, match=r"action must be of shape \(2,\), .* got \(3,\)"):
+        env.step(np.zeros(3))
 
 
 @pytest.mark.parametrize("env", ["rotation-30", "MMCReach-v0"])

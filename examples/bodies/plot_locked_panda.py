@@ -38,7 +38,7 @@ class PandaInterface(ReachInterface):
 # elbow, and the cross the target.
 
 figure = plt.figure(figsize=(11, 4.6))
-interface = PandaInterface((0.33, 0.39, 0.23), "joint_delta", 1.0, 20.0, TURN, arm=GIVEN)
+interface = PandaInterface((), "joint_delta", 1.0, 20.0, TURN, arm=GIVEN)
 alone = Parts(identifies_body=False, finds_locks=False)
 agents = {"mmc-body": mmc_body(interface), "without its loops": mmc_body(interface, alone)}
 for place, (name, agent) in enumerate(agents.items(), start=1):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters, Servo
 
 JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"
+_CLOSE = 0.02  # deviation of the segment lengths from those of `arm`, shares of their sum
 Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
 
@@ -111,14 +112,14 @@ class ReachInterface:
     three components, (..., 3).
     """
 
-    #: N lengths; of an arm in space, the distances between its nodes
+    #: N lengths; of an arm in space, the distances between its nodes, or () for those of `arm`
     segment_lengths: tuple[float, ...]
     control: Control  #: the environment's control mode; "joint_position" for a servo of your own
     speed_limit: float  #: largest joint speed, rad/s
     servo_gain: float  #: speed that a position servo asks for per angle to its target, 1/s
     control_step: float  #: duration of a control step, s
-    #: lowest and highest angle of each joint, radians, infinite where there is none; None: joints
-    #: turn freely
+    #: lowest and highest angle of each joint, radians, infinite where there is none, such as
+    #: `arm.limits`; None: joints turn freely
     joint_limits: JointLimits | None = None
     #: joints that lock during an episode; empty if agents are not given them
     lockable_joints: tuple[int, ...] = ()
@@ -138,9 +139,20 @@ class ReachInterface:
         def rising(ends: Numbers) -> bool:
             return len(ends) == 2 and ends[0] < ends[1]
 
-        require_numbers("segment_lengths", self.segment_lengths, "positive and finite", positive)
-        is_arm = self.arm is None or hasattr(self.arm, "joint_count")
+        def of_arm(numbers: Numbers) -> bool:
+            lengths = self.arm.segment_lengths
+            same = len(numbers) == len(lengths)
+            return same and np.allclose(numbers, lengths, rtol=0, atol=_CLOSE * sum(lengths))
+
+        is_arm = self.arm is None or hasattr(self.arm, "segment_lengths")
         require(is_arm, "arm", self.arm, "a HingeArm, or None in the plane")
+        lengths, accepted, fits = self.segment_lengths, "positive and finite", positive
+        if self.arm is not None:
+            fits, of_nodes = of_arm, self.arm.segment_lengths
+            accepted = f"those of arm, {np.round(of_nodes, 4).tolist()}, or () for them"
+            lengths = of_nodes if np.size(lengths) == 0 else lengths
+        lengths = require_numbers("segment_lengths", lengths, accepted, fits)
+        object.__setattr__(self, "segment_lengths", lengths)  # a tuple, also of an array
         require(isinstance(self.has_drive, bool), "has_drive", self.has_drive, "True or False")
         require_choice("control", self.control, CONTROLS)
         for name in ("speed_limit", "servo_gain", "control_step"):
@@ -150,7 +162,8 @@ class ReachInterface:
         count = self._joint_count
         if self.joint_limits is not None:
             accepted = f"{count} pairs of angles, the lower one first; infinite where there is none"
-            require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
+            limits = require_rows("joint_limits", self.joint_limits, accepted, rising, (count,))
+            object.__setattr__(self, "joint_limits", limits)
         joints = self.lockable_joints if np.iterable(self.lockable_joints) else (None,)
         are_joints = all(is_whole(joint) and 0 <= joint < count for joint in joints)
         accepted = f"numbers of joints below {count}"
@@ -310,6 +323,7 @@ class ReachInterface:
         """Return what `act` returned; if `act` is your own, as finite numbers, (*batch, any)."""
         if type(self).act is ReachInterface.act:
             return action
+        require(action is not None, "what act returns", action, "an action: is its return missing?")
         action = np.asarray(action)
         return _finite("what act returns", action, (*batch, *action.shape[-1:]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
@@ -36,9 +37,13 @@ class InterfacedEnv(gym.Env[Any, Any]):
             from mmc_gym._files import import_object  # `import mmc_gym` loads no yaml
 
             resolved = import_object(interface, "interface")
-        if callable(resolved) and not isinstance(resolved, ReachInterface):
-            resolved = resolved(env)
         accepted = "an object of a subclass of ReachInterface, a function of env or 'module:name'"
+        if callable(resolved) and not isinstance(resolved, ReachInterface):
+            try:
+                inspect.signature(resolved).bind(env)
+            except TypeError:  # such as a class, which takes segment lengths
+                require(False, "interface", resolved, accepted)
+            resolved = resolved(env)
         require(isinstance(resolved, ReachInterface), "interface", resolved, accepted)
         self.env, self.parameters, self.control = env, resolved, resolved.control
         self.reach = sum(resolved.segment_lengths)
@@ -59,6 +64,10 @@ class InterfacedEnv(gym.Env[Any, Any]):
 
     @override
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        if isinstance(self.action_space, gym.spaces.Box):
+            accepted = f"of shape {self.action_space.shape}, as the actions of env are"
+            count = math.prod(self.action_space.shape)
+            require(np.size(action) == count, "action", np.shape(action), accepted)
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, terminated, truncated, self._described(observation, info)
 

@@ -199,6 +199,11 @@ class HingeArm:
         """Number of hinges, n."""
         return len(self.axes)
 
+    @property
+    def segment_lengths(self) -> tuple[float, ...]:
+        """Distances between neighbouring nodes in the zero posture, m, (N,)."""
+        return tuple(np.linalg.norm(np.diff(self._rule[1], axis=0), axis=1).tolist())
+
     def joint_index(self, joint: int | str) -> int:
         """Return the index of a hinge, given by index or name."""
         if joint in self.joint_names:

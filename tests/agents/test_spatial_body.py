@@ -24,8 +24,7 @@ class SpaceInterface(ReachInterface):
         return np.clip(turn, -1.0, 1.0).astype(np.float32)
 
 
-LENGTHS = (0.33, 0.39, 0.23)
-INTERFACE = SpaceInterface(LENGTHS, "joint_delta", 1.0, 20.0, TURN, success_distance=0.02, arm=ARM)
+INTERFACE = SpaceInterface((), "joint_delta", 1.0, 20.0, TURN, success_distance=0.02, arm=ARM)
 
 
 def observation(angles, target, shares=()):
