@@ -351,6 +351,11 @@ def _parse(path: Path) -> Any:
         raise UserError(f"{path} is not well-formed XML: {error.msg}") from error
     if tree.docinfo.doctype or tree.getroot().tag != "robot":
         raise UserError(f"{path} must be a URDF file: a <robot>, without a DOCTYPE")
+    if macros := tree.xpath("//*[contains(namespace-uri(), 'xacro') or @*[contains(., '${')]]"):
+        raise UserError(
+            f"{path} must be a URDF file, but it is xacro, as line {macros[0].sourceline} shows: "
+            f"expand it, xacro {path} > robot.urdf (pip install xacro, or ROS), and read that file"
+        )
     return tree.getroot()
 
 
