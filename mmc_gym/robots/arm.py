@@ -18,8 +18,10 @@ are the joints of a chain of rigid segments, with the base at node 0.
 from __future__ import annotations
 
 import io
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -170,7 +172,9 @@ class HingeArm:
         """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
 
         Joints may be revolute, continuous (hinges without limits) or fixed (not hinges: they only
-        add their offset).  Only the file itself is read, no meshes.
+        add their offset).  A joint with two equal limits is fixed there.  The chain may lead up
+        the tree, from a hand to its base or to another hand.  Only the file itself is read, no
+        meshes.
 
         Raises:
             UserError: if the file is no XML or the links do not form a tree; if a joint between
@@ -179,15 +183,22 @@ class HingeArm:
             FileNotFoundError: if there is no file.
         """
         pose, axes, points, limits, names = np.eye(4), [], [], [], []
-        for where, joint in _joints_between(Path(path), base, tip):
-            if joint.origin is not None:
-                pose = pose @ joint.origin
-            if joint.type == "fixed":
-                continue
-            axes.append(pose[:3, :3] @ joint.axis)
-            points.append(pose[:3, 3])
-            limits.append(_limits(where, joint))
-            names.append(joint.name)
+        for where, joint, is_upward in _joints_between(Path(path), base, tip):
+            origin = np.eye(4) if joint.origin is None else joint.origin
+            pose = pose if is_upward else pose @ origin
+            if joint.type != "fixed":
+                # Seen from the child, the parent turns the other way.
+                axis = -joint.axis if is_upward else joint.axis
+                lower, upper = _limits(where, joint)
+                if lower < upper:
+                    axes.append(pose[:3, :3] @ axis)
+                    points.append(pose[:3, 3])
+                    limits.append((lower, upper))
+                    names.append(joint.name)
+                else:
+                    pose = pose.copy()
+                    pose[:3, :3] @= _turn(axis / np.linalg.norm(axis), lower)
+            pose = pose @ np.linalg.inv(origin) if is_upward else pose
         if not axes:
             raise UserError(
                 f"between base {base!r} and tip {tip!r} must be a hinge; {path} has none there"
@@ -254,9 +265,7 @@ class HingeArm:
         turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
         for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
             axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
-            cross = np.cross(axis, np.eye(3)).T  # cross @ x = axis × x
-            angle = angles[..., joint, None, None]
-            hinge = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+            hinge = _turn(axis, angles[..., joint, None, None])
             shift = shift + np.einsum("...ij,...j->...i", turn, point - hinge @ point)
             turn = turn @ hinge
             node = joint_nodes[joint]
@@ -304,8 +313,23 @@ class HingeArm:
         return float(np.linalg.norm(away, axis=1).max())
 
 
-def _joints_between(path: Path, base: str, tip: str) -> list[tuple[str, Any]]:
-    """Return the joints from `base` to `tip`, each after its file, name and line in words.
+def _turn(axis: Floats, angle: Any) -> Floats:
+    """Return the rotation about an axis of length 1; angles (..., 1, 1) give (..., 3, 3)."""
+    cross = np.cross(axis, np.eye(3)).T  # cross @ x = axis × x
+    rotation: Floats = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    return rotation
+
+
+class _Passed(NamedTuple):
+    """A joint on the way from base to tip."""
+
+    where: str  #: its file, name and line in words
+    joint: Any  #: as yourdfpy reads it
+    is_upward: bool  #: whether the way leads from its child to its parent
+
+
+def _joints_between(path: Path, base: str, tip: str) -> list[_Passed]:
+    """Return the joints from `base` up to a link above both, and from there down to `tip`.
 
     The file is parsed strictly, by lxml: nothing is repaired, and no entity or other file is read.
     yourdfpy reads what a joint contains, one joint at a time, so that an error can name it.
@@ -321,16 +345,27 @@ def _joints_between(path: Path, base: str, tip: str) -> list[tuple[str, Any]]:
     links = [str(link.get("name")) for link in root.findall("link")]
     require_choice("base", base, links)
     require_choice("tip", tip, links)
-    chain: list[Any] = []
-    link = tip
-    while link != base:
-        if link not in above:
-            raise UserError(f"tip {tip!r} must hang from base {base!r}, but it hangs from {link!r}")
-        link, joint = above[link]
-        if joint in chain:
-            raise UserError(f"{path}: links must form a tree, but {_where(joint)} closes a circle")
-        chain.append(joint)
-    return [(f"{path}: {_where(joint)}", _read(path, joint)) for joint in reversed(chain)]
+
+    def climb(link: str, ends: Container[str]) -> tuple[dict[str, Any], str]:
+        """Return the links from one up to one of `ends`, each with the joint above, and the end."""
+        passed: dict[str, Any] = {}
+        while link not in ends and link in above:
+            parent, joint = above[link]
+            if link in passed:
+                message = f"links must form a tree, but {_where(joint)} closes a circle"
+                raise UserError(f"{path}: {message}")
+            passed[link], link = joint, parent
+        return passed, link
+
+    down, top = climb(tip, {base})
+    up, meeting = climb(base, {*down, top})
+    if meeting not in {*down, top}:
+        accepted = f"from base {base!r}, or from a link above it"
+        raise UserError(f"tip {tip!r} must hang {accepted}, but it hangs from {top!r}")
+    below = list(takewhile(lambda link: link != meeting, down))
+    ways = [(joint, True) for joint in up.values()]
+    ways += [(down[link], False) for link in reversed(below)]
+    return [_Passed(f"{path}: {_where(joint)}", _read(path, joint), way) for joint, way in ways]
 
 
 def _parse(path: Path) -> Any:
@@ -403,6 +438,6 @@ def _limits(where: str, joint: Any) -> tuple[float, float]:
     if joint.limit is None or None in (joint.limit.lower, joint.limit.upper):
         raise UserError(f"{where} must have a <limit> with lower and upper, as it is revolute")
     lower, upper = float(joint.limit.lower), float(joint.limit.upper)
-    if not lower < upper:
-        raise UserError(f"{where} must have limits with lower < upper, got {lower:g} and {upper:g}")
+    if not lower <= upper:
+        raise UserError(f"{where} must have limits lower <= upper, got {lower:g} and {upper:g}")
     return lower, upper

@@ -57,7 +57,7 @@ def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_ref
         ("0.1 -0.2 0.3", "nan 0 0", "'one' of line 3 .*<origin>"),
         ("0 0.6 0.8", "0 0 0", "joint 'one' of line 3 .*<axis>"),
         ('lower="-1"', "", "joint 'one' of line 3 .*<limit>"),
-        ('lower="-1"', 'lower="2"', "'one' of line 3 .*limits .*2 and 2"),
+        ('lower="-1"', 'lower="3"', "'one' of line 3 .*limits .*3 and 2"),
         ('<parent link="a"/>', "", "joint 'one' of line 3 .*<parent link"),
         ('<link name="a"/>', "", "base 'a' is not accepted"),
         ('<link name="e"/>', "", "tip 'e' is not accepted"),
