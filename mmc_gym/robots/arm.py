@@ -5,23 +5,26 @@ and the hand has the pose M (Lynch & Park, Modern Robotics, Sect. 4.1).  Then
 
     T(q) = e^{[S_1] q_1} … e^{[S_n] q_n} M,      S_i = (u_i, a_i × u_i)
 
-where e^{[S_i] q_i} turns everything that hinge i carries about its line by q_i.
+where e^{[S_i] q_i} turns everything that hinge i carries about its line by q_i.  A slide moves it
+along u_i by q_i, S_i = (0, u_i).  A joint may move several axes, each by its ratio r_i of the
+joint's displacement: then q_i is r_i times that of its joint.
 
 **Nodes follow by a rule.**  The last node is the hand, and all last hinges whose axes go through it
 belong to it.  From the base on, as many neighbouring hinges as possible share a node, the point
 where their axes meet: shoulder, elbow and wrist of most robots.  If the axis of a hinge meets no
 other, or if axes coincide, the node is the point on them nearest to the node before.  Each node
 lies on the axes of its hinges, so neighbouring nodes keep their distance in all postures: the nodes
-are the joints of a chain of rigid segments, with the base at node 0.
+are the joints of a chain of rigid segments, with the base at node 0.  A slide belongs to the node
+before it, and the next hinge begins another one: the segment between them is free along the slide.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Container
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import takewhile
+from itertools import compress, takewhile
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -46,7 +49,7 @@ _TABLES = Path(__file__).with_name("arms.yml")
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
 # Largest deviation of a rotation times its transpose from the identity: as it is, and rounded.
 _SQUARE, _ROUNDED = 1e-6, 1e-3
-_ENDLESS = 1e3  # limits beyond are none: files write such numbers for "no limit", radians
+_ENDLESS = 1e3  # limits beyond are none: files write such numbers for "no limit", radians or m
 _LARGEST_FILE = 16 * 2**20  # bytes of a URDF file
 
 
@@ -101,6 +104,9 @@ def require_poses(name: str, value: ArrayLike) -> Floats:
 class HingeArm:
     """Description of an arm of n hinges; lengths in metres, angles in radians.
 
+    Some of its joints may be slides: the "angles" of these are in metres.  Some may move several of
+    its axes, as those do that others follow.
+
     >>> arm = HingeArm.named("panda")
     >>> arm.forward([0.0] * 7)[:3, 3].round(3).tolist()
     [0.088, 0.0, 0.926]
@@ -115,18 +121,36 @@ class HingeArm:
     wrist_3_joint         -6.28 to  6.28  node 3
     """
 
-    axes: Floats  #: directions of the hinges in the zero posture, (n, 3); brought to length 1
-    points: Floats  #: a point on each axis in the zero posture, (n, 3)
+    #: directions of the axes in the zero posture, (a, 3), brought to length 1; a = n, a hinge each,
+    #: but for what `axis_joints` and `is_slide` say
+    axes: Floats
+    points: Floats  #: a point on each axis in the zero posture, (a, 3)
     home: Floats  #: pose of the hand in the zero posture, (4, 4)
-    #: least and largest angle of each hinge, (n, 2); infinite without a limit, as are those that
-    #: are given as beyond ±1,000 rad
+    #: least and largest angle of each joint, (n, 2); infinite without a limit, as are those that
+    #: are given as beyond ±1,000 rad; a joint that moves a slide must have finite ones
     limits: Floats
     joint_names: tuple[str, ...] = ()  #: of the hinges, all different; "joint_0" … if not given
+    axis_joints: tuple[int, ...] = ()  #: the joint that moves each axis, a numbers; () is its own
+    ratios: tuple[float, ...] = ()  #: displacement of each axis per that of its joint; () is 1
+    is_slide: tuple[bool, ...] = ()  #: whether each axis slides instead of turning; () is False
 
     def __post_init__(self) -> None:
-        count = np.shape(self.axes)[0] if np.ndim(self.axes) == 2 else 0
-        require(count > 0, "axes", np.shape(self.axes), "of shape (n, 3)")
-        shapes = {"axes": (count, 3), "points": (count, 3), "home": (4, 4), "limits": (count, 2)}
+        axes = np.shape(self.axes)[0] if np.ndim(self.axes) == 2 else 0
+        require(axes > 0, "axes", np.shape(self.axes), "of shape (n, 3)")
+        for name, plain in _PLAIN.items():
+            values = tuple(getattr(self, name))
+            # `replace` hands on those of an arm that may have another number of axes.
+            values = plain(axes) if values == plain(len(values)) else values
+            object.__setattr__(self, name, values)
+        count = len(set(self.axis_joints))
+        are_joints = len(self.axis_joints) == axes and set(self.axis_joints) == set(range(count))
+        require(are_joints, "axis_joints", self.axis_joints, f"{axes} numbers, all from 0 on")
+        are_ratios = len(self.ratios) == axes and all(0 < abs(r) < np.inf for r in self.ratios)
+        require(are_ratios, "ratios", self.ratios, f"{axes} finite numbers other than 0")
+        require(
+            len(self.is_slide) == axes, "is_slide", self.is_slide, f"{axes} times True or False"
+        )
+        shapes = {"axes": (axes, 3), "points": (axes, 3), "home": (4, 4), "limits": (count, 2)}
         for name, shape in shapes.items():
             value = np.array(require_array(name, getattr(self, name)), np.float64)
             require(value.shape == shape, name, value.shape, f"of shape {shape}")
@@ -139,6 +163,9 @@ class HingeArm:
         object.__setattr__(self, "axes", self.axes / lengths)
         below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
         require(below, "limits", self.limits, "pairs of a lower and a higher angle")
+        strokes = self.limits[[*compress(self.axis_joints, self.is_slide)]]
+        accepted = f"finite for slides, within ±{_ENDLESS:g}"
+        require(bool(np.isfinite(strokes).all()), "limits", self.limits, accepted)
         object.__setattr__(self, "home", require_poses("home", self.home))
         names = tuple(self.joint_names) or tuple(f"joint_{joint}" for joint in range(count))
         is_named = len(set(names)) == len(names) == count and all(isinstance(n, str) for n in names)
@@ -146,12 +173,13 @@ class HingeArm:
         object.__setattr__(self, "joint_names", names)
 
     def __str__(self) -> str:
-        """Return a line for each hinge, from base to hand: name, limits in radians, node."""
-        width = max(map(len, self.joint_names))
-        rows = zip(self.joint_names, self.limits, self.joint_nodes)
-        lines = (
-            f"{name:{width}}  {a:6.2f} to {b:5.2f}  node {node}" for name, (a, b), node in rows
-        )
+        """Return a line for each joint, from base to hand: name, limits in radians or m, nodes."""
+        width, lines = max(map(len, self.joint_names)), []
+        for joint, (name, (low, high)) in enumerate(zip(self.joint_names, self.limits)):
+            axes = [axis for axis, mover in enumerate(self.axis_joints) if mover == joint]
+            kinds = (" slides" if self.is_slide[axis] else "" for axis in axes)
+            places = (f"node {self.joint_nodes[axis]}{kind}" for axis, kind in zip(axes, kinds))
+            lines.append(f"{name:{width}}  {low:6.2f} to {high:5.2f}  {', '.join(places)}")
         return "\n".join(lines)
 
     @classmethod
@@ -171,44 +199,72 @@ class HingeArm:
     def from_urdf(cls, path: Path | str, base: str, tip: str) -> HingeArm:
         """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
 
-        Joints may be revolute, continuous (hinges without limits) or fixed (not hinges: they only
-        add their offset).  A joint with two equal limits is fixed there.  The chain may lead up
-        the tree, from a hand to its base or to another hand.  Only the file itself is read, no
-        meshes.
+        Joints may be revolute, continuous (hinges without limits), prismatic (slides) or fixed,
+        which only add their offset.  A joint with two equal limits is fixed there.  One that
+        follows another (`<mimic>`) is moved by that joint within its limits, even if that one is
+        not between the two links.  The chain may lead up the tree, from a hand to its base or to
+        another hand.  Only the file itself is read, no meshes.
 
         Raises:
             UserError: if the file is no XML or the links do not form a tree; if a joint between
-                the two links slides, follows another one (`<mimic>`), is revolute without limits
-                or cannot be read.  The message names the joint and its line.
+                the two links is floating or planar, follows none that moves, is revolute or
+                prismatic without limits, or cannot be read.  The message names the joint and its
+                line.
             FileNotFoundError: if there is no file.
         """
-        pose, axes, points, limits, names = np.eye(4), [], [], [], []
-        for where, joint, is_upward in _joints_between(Path(path), base, tip):
+        pose, limits = np.eye(4), dict[str, tuple[float, float]]()
+        axes, points, joints, ratios, is_slide = [], [], [], [], []
+        for passed in _joints_between(Path(path), base, tip):
+            joint, leader, ratio, offset = passed.joint, passed.leader, passed.ratio, passed.offset
             origin = np.eye(4) if joint.origin is None else joint.origin
-            pose = pose if is_upward else pose @ origin
+            pose = pose if passed.is_upward else pose @ origin
             if joint.type != "fixed":
-                # Seen from the child, the parent turns the other way.
-                axis = -joint.axis if is_upward else joint.axis
-                lower, upper = _limits(where, joint)
-                if lower < upper:
+                # Seen from the child, the parent moves the other way.
+                axis = -joint.axis if passed.is_upward else joint.axis
+                slides, (lower, upper) = joint.type == "prismatic", _limits(passed.where, leader)
+                rest = offset + ratio * lower if lower == upper else offset
+                if rest:
+                    motion = np.eye(4)
+                    if slides:
+                        motion[:3, 3] = rest * axis / np.linalg.norm(axis)
+                    else:
+                        motion[:3, :3] = _turn(axis / np.linalg.norm(axis), rest)
+                    pose = pose @ motion
+                if lower < upper and ratio:
                     axes.append(pose[:3, :3] @ axis)
                     points.append(pose[:3, 3])
-                    limits.append((lower, upper))
-                    names.append(joint.name)
-                else:
-                    pose = pose.copy()
-                    pose[:3, :3] @= _turn(axis / np.linalg.norm(axis), lower)
-            pose = pose @ np.linalg.inv(origin) if is_upward else pose
+                    limits[leader.name] = lower, upper
+                    joints.append([*limits].index(leader.name))
+                    ratios.append(ratio)
+                    is_slide.append(slides)
+            pose = pose @ np.linalg.inv(origin) if passed.is_upward else pose
         if not axes:
+            accepted = "a hinge or a slide, free to move"
             raise UserError(
-                f"between base {base!r} and tip {tip!r} must be a hinge; {path} has none there"
+                f"between base {base!r} and tip {tip!r} must be {accepted}; {path} has none there"
             )
-        return cls(np.array(axes), np.array(points), pose, np.array(limits), tuple(names))
+        return cls(
+            axes=np.array(axes),
+            points=np.array(points),
+            home=pose,
+            limits=np.array([*limits.values()]),
+            joint_names=tuple(limits),
+            axis_joints=tuple(joints),
+            ratios=tuple(ratios),
+            is_slide=tuple(is_slide),
+        )
 
     @property
     def joint_count(self) -> int:
-        """Number of hinges, n."""
-        return len(self.axes)
+        """Number of joints, n."""
+        return len(self.limits)
+
+    @property
+    def has_only_hinges(self) -> bool:
+        """Whether each joint turns one axis, by its own angle: no slides and no followers."""
+        return (
+            len(self.axes) == len(self.limits) and {*self.ratios} == {1} and not any(self.is_slide)
+        )
 
     @property
     def segment_lengths(self) -> tuple[float, ...]:
@@ -227,7 +283,7 @@ class HingeArm:
 
     @cached_property
     def joint_nodes(self) -> tuple[int, ...]:
-        """Index of the node that each of the n hinges belongs to."""
+        """Index of the node that each axis belongs to."""
         return self._rule[0]
 
     @property
@@ -246,12 +302,17 @@ class HingeArm:
     def jacobian(self, joint_angles: ArrayLike) -> Floats:
         """Return how the hand moves with each joint, (..., 6, n), for joint angles (..., n).
 
-        The first three rows are its velocity, m per radian, the last three its angular velocity,
-        both in the frame of the base.
+        The first three rows are its velocity, m per radian (or per m of a slide), the last three
+        its angular velocity, both in the frame of the base.
         """
         _, axes, points, hand = self.frames(joint_angles)
         velocity = np.cross(axes, hand[..., None, :3, 3] - points)
-        return np.swapaxes(np.concatenate([velocity, axes], axis=-1), -1, -2)
+        is_slide = np.array(self.is_slide)[:, None]
+        velocity, turn = np.where(is_slide, axes, velocity), np.where(is_slide, 0.0, axes)
+        by_joint = np.zeros((self.joint_count, len(self.axes)))
+        by_joint[self.axis_joints, range(len(self.axes))] = self.ratios
+        jacobian: Floats = by_joint @ np.concatenate([velocity, turn], axis=-1)
+        return np.swapaxes(jacobian, -1, -2)
 
     def frames(self, joint_angles: ArrayLike) -> ArmFrames:
         """Return nodes, axes, points on the axes and pose of the hand for joint angles (..., n)."""
@@ -260,15 +321,19 @@ class HingeArm:
         require(angles.shape[-1:] == (self.joint_count,), "joint_angles", angles.shape, accepted)
         batch, (joint_nodes, home_nodes) = angles.shape[:-1], self._rule
         nodes = np.broadcast_to(home_nodes, (*batch, *home_nodes.shape)).copy()
-        axes, points = np.empty((2, *batch, self.joint_count, 3))
+        axes, points = np.empty((2, *batch, len(self.axes), 3))
         # The link that carries the next hinge has moved each of its points x to turn x + shift.
         turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
-        for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
-            axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
-            hinge = _turn(axis, angles[..., joint, None, None])
-            shift = shift + np.einsum("...ij,...j->...i", turn, point - hinge @ point)
-            turn = turn @ hinge
-            node = joint_nodes[joint]
+        for number, (axis, point) in enumerate(zip(self.axes, self.points)):
+            axes[..., number, :], points[..., number, :] = turn @ axis, turn @ point + shift
+            moved = self.ratios[number] * angles[..., self.axis_joints[number], None]
+            node = joint_nodes[number]
+            if self.is_slide[number]:
+                shift, node = shift + moved * axes[..., number, :], node + 1
+            else:
+                hinge = _turn(axis, moved[..., None])
+                shift = shift + np.einsum("...ij,...j->...i", turn, point - hinge @ point)
+                turn = turn @ hinge
             nodes[..., node:, :] = home_nodes[node:] @ np.swapaxes(turn, -1, -2)
             nodes[..., node:, :] += shift[..., None, :]
         hand = np.broadcast_to(self.home, (*batch, 4, 4)).copy()
@@ -278,23 +343,31 @@ class HingeArm:
 
     @cached_property
     def _rule(self) -> tuple[tuple[int, ...], Floats]:
-        """Return the node of each hinge, and the nodes in the zero posture, (N + 1, 3)."""
-        hand, of_hand = self.home[:3, 3], self.joint_count  # hinges from `of_hand` on belong to it
-        while of_hand > 1 and self._miss(range(of_hand - 1, of_hand), hand) < _MEET:
+        """Return the node of each axis, and the nodes in the zero posture, (N + 1, 3)."""
+        hand, of_hand = self.home[:3, 3], len(self.axes)  # hinges from `of_hand` on belong to it
+        while (
+            of_hand > 1
+            and not self.is_slide[of_hand - 1]
+            and self._miss(range(of_hand - 1, of_hand), hand) < _MEET
+        ):
             of_hand -= 1
         nodes: list[Floats] = []
         joint_nodes: list[int] = []
         before: Floats = np.zeros(3)
         first = 0
         while first < of_hand:
-            end = first + 1
-            while end < of_hand and self._meet(range(first, end + 1), before)[1] < _MEET:
+            hinges = end = first if self.is_slide[first] else first + 1
+            while hinges == end < of_hand and not self.is_slide[end]:
+                if self._meet(range(first, end + 1), before)[1] >= _MEET:
+                    break
+                hinges = end = end + 1
+            while end < of_hand and self.is_slide[end]:
                 end += 1
-            before = self._meet(range(first, end), before)[0]
+            before = self._meet(range(first, max(hinges, first + 1)), before)[0]
             joint_nodes += [len(nodes)] * (end - first)
             nodes.append(before)
             first = end
-        joint_nodes += [len(nodes)] * (self.joint_count - of_hand)
+        joint_nodes += [len(nodes)] * (len(self.axes) - of_hand)
         return tuple(joint_nodes), np.array([*nodes, hand])
 
     def _meet(self, joints: range, near: Floats) -> tuple[Floats, float]:
@@ -320,12 +393,22 @@ def _turn(axis: Floats, angle: Any) -> Floats:
     return rotation
 
 
+_PLAIN: dict[str, Callable[[int], tuple[float, ...]]] = {  # of axes, each a hinge of its own joint
+    "axis_joints": lambda axes: tuple(range(axes)),
+    "ratios": lambda axes: (1.0,) * axes,
+    "is_slide": lambda axes: (False,) * axes,
+}
+
+
 class _Passed(NamedTuple):
     """A joint on the way from base to tip."""
 
-    where: str  #: its file, name and line in words
     joint: Any  #: as yourdfpy reads it
     is_upward: bool  #: whether the way leads from its child to its parent
+    leader: Any  #: the joint that it follows (`<mimic>`), or itself
+    where: str  #: file, name and line of that joint in words
+    ratio: float  #: its displacement for that of its leader
+    offset: float  #: its displacement where that of its leader is 0
 
 
 def _joints_between(path: Path, base: str, tip: str) -> list[_Passed]:
@@ -336,6 +419,7 @@ def _joints_between(path: Path, base: str, tip: str) -> list[_Passed]:
     """
     root = _parse(path)
     above: dict[str, Any] = {}
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
     for joint in root.findall("joint"):
         parent, child = (_link_of(joint, end) for end in ("parent", "child"))
         if child in above:
@@ -365,7 +449,34 @@ def _joints_between(path: Path, base: str, tip: str) -> list[_Passed]:
     below = list(takewhile(lambda link: link != meeting, down))
     ways = [(joint, True) for joint in up.values()]
     ways += [(down[link], False) for link in reversed(below)]
-    return [_Passed(f"{path}: {_where(joint)}", _read(path, joint), way) for joint, way in ways]
+    chain = []
+    for joint, is_upward in ways:
+        leader, ratio, offset = _leader_of(path, joint, joints)
+        where = f"{path}: {_where(leader)}"
+        read = _read(path, joint)
+        mover = read if leader is joint else _read(path, leader)
+        chain.append(_Passed(read, is_upward, mover, where, ratio, offset))
+    return chain
+
+
+def _leader_of(path: Path, joint: Any, joints: Mapping[str, Any]) -> tuple[Any, float, float]:
+    """Return the joint that a joint follows in the end, or itself, with ratio and offset."""
+    ratio, offset, followers = 1.0, 0.0, []
+    while joint.get("type") != "fixed" and (mimic := joint.find("mimic")) is not None:
+        followers.append(joint)
+        where, name = f"{path}: {_where(joint)}", mimic.get("joint")
+        numbers = [mimic.get("multiplier", "1"), mimic.get("offset", "0")]
+        try:
+            factor, more = map(float, numbers)
+        except ValueError as error:
+            raise UserError(f"{where} must follow (<mimic>) by numbers, got {numbers}") from error
+        joint = joints.get(name)
+        if joint is None or joint in followers or joint.get("type") == "fixed":
+            raise UserError(f"{where} must follow (<mimic>) a joint that moves, got {name!r}")
+        if not np.isfinite([factor, more]).all():
+            raise UserError(f"{where} must follow (<mimic>) by finite numbers, got {numbers}")
+        ratio, offset = ratio * factor, offset + ratio * more
+    return joint, ratio, offset
 
 
 def _parse(path: Path) -> Any:
@@ -407,17 +518,14 @@ def _link_of(joint: Any, end: str) -> str:
 
 
 def _read(path: Path, element: Any) -> Any:
-    """Return a joint as yourdfpy reads it; raise a `UserError` unless it is a hinge or fixed."""
+    """Return a joint as yourdfpy reads it; raise a `UserError` if it cannot be in a chain."""
     import yourdfpy
     from lxml import etree
 
     where = f"{path}: {_where(element)}"
-    kind, accepted = element.get("type"), "revolute, continuous or fixed"
-    if kind not in ("revolute", "continuous", "fixed"):
+    kind, accepted = element.get("type"), "revolute, continuous, prismatic or fixed"
+    if kind not in ("revolute", "continuous", "prismatic", "fixed"):
         raise UserError(f"{where} must be {accepted}, got {kind!r}")
-    if kind != "fixed" and (mimic := element.find("mimic")) is not None:
-        leader = mimic.get("joint")
-        raise UserError(f"{where} must turn freely, but it follows joint {leader!r} (<mimic>)")
     alone = io.BytesIO(b'<robot name="one">' + etree.tostring(element) + b"</robot>")
     try:
         robot = yourdfpy.URDF.load(alone, build_scene_graph=False, load_meshes=False).robot
@@ -436,8 +544,12 @@ def _limits(where: str, joint: Any) -> tuple[float, float]:
     if joint.type == "continuous":
         return -np.inf, np.inf
     if joint.limit is None or None in (joint.limit.lower, joint.limit.upper):
-        raise UserError(f"{where} must have a <limit> with lower and upper, as it is revolute")
+        raise UserError(f"{where} must have a <limit> with lower and upper, as it is {joint.type}")
     lower, upper = float(joint.limit.lower), float(joint.limit.upper)
+    if joint.type == "prismatic" and max(abs(lower), abs(upper)) > _ENDLESS:
+        raise UserError(
+            f"{where} must slide by {_ENDLESS:g} m at most, got {lower:g} and {upper:g}"
+        )
     if not lower <= upper:
         raise UserError(f"{where} must have limits lower <= upper, got {lower:g} and {upper:g}")
     return lower, upper

@@ -9,17 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.geometry import Floats
+from mmc_gym.robots.arm import HingeArm
 
 LANES = 16  # postures in a block
 
 
 class ZeroPosture(NamedTuple):
-    """A `HingeArm` in its zero posture: nodes, a tool's point too, and the node of each hinge."""
+    """A `HingeArm` in its zero posture: nodes, a tool's point too, and axes with their joints."""
 
-    axes: Floats
-    points: Floats
-    nodes: Floats
-    joint_nodes: NDArray[np.int64]
+    axes: Floats  #: (a, 3)
+    points: Floats  #: (a, 3)
+    nodes: Floats  #: (N + 1, 3)
+    joint_nodes: NDArray[np.int64]  #: the node of each axis, (a,)
+    joints: NDArray[np.int64]  #: the joint that moves each axis, (a,)
+    turns: Floats  #: by how much a displacement of its joint turns each axis, 0 of a slide, (a,)
+    slides: Floats  #: how far it slides along the axis, 0 of a hinge, (a,)
+    has_turns: Floats  #: 1 where a whole turn of a joint changes nothing, otherwise 0, (n,)
+
+    @classmethod
+    def of(cls, arm: HingeArm) -> ZeroPosture:
+        """Return that of an arm."""
+        nodes = arm.nodes(np.zeros(arm.joint_count))
+        joints, ratios, is_slide = map(np.array, (arm.axis_joints, arm.ratios, arm.is_slide))
+        has_turns = np.ones(arm.joint_count)
+        has_turns[joints[is_slide | (ratios % 1 != 0)]] = 0.0
+        return cls(
+            axes=arm.axes,
+            points=arm.points,
+            nodes=nodes,
+            joint_nodes=np.array(arm.joint_nodes),
+            joints=joints,
+            turns=np.where(is_slide, 0.0, ratios),
+            slides=np.where(is_slide, ratios, 0.0),
+            has_turns=has_turns,
+        )
 
 
 class Course(NamedTuple):
@@ -50,13 +73,13 @@ def task_type(joints: int, nodes: int) -> np.dtype[np.void]:
 
 
 @lru_cache
-def block_type(joints: int, nodes: int) -> np.dtype[np.void]:
+def block_type(joints: int, nodes: int, axes: int) -> np.dtype[np.void]:
     """Return the type of a block: a task, and arrays of its lanes that `iteration` names."""
     task = task_type(joints, nodes)
     shapes: dict[str, tuple[int, ...]] = {name: task[name].shape for name in task.names or ()}
     shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled", "away"), ())
     shapes |= dict.fromkeys(("angle", "velocity", "pull", "leverage", "free", "start"), (joints,))
-    shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (joints, 3)}
+    shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (axes, 3)}
     shapes |= {"row": (joints, joints + 1), "turn": (3, 3)}
     shapes |= dict.fromkeys(("shift", "spin", "heading"), (3,))
     kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]

@@ -1,5 +1,20 @@
 """Iterations of the network of hinges, compiled by numba; `network` has the equations.
 
+**Slides and followers.**  A joint j may move several axes i, each by r_i q_j, and an axis may slide
+what it carries along u_i instead of turning it.  The lever of an axis is how fast it moves a node,
+and that of a joint is the sum over its axes:
+
+    l_ig = r_i u_i × v_kg,  or r_i u_i of a slide;      L_jg = Σ_i l_ig
+
+The estimate of a joint is again the displacement by which it alone would best make up for what is
+missing, α_j = Σ_g L_jg·e_g / Σ_g (|L_jg|² + max(0, c_g)).  A slide moves nodes in a straight line,
+so it has no c_g, and it does not turn the vectors h_a.  Of two axes of a joint, i before m,
+
+    |L_jg|² has the product 2 l_ig·l_mg,      c_g has the part −2 r_i (u_i × l_mg)·e_g
+
+where the latter is 0 if i slides.  Near a solution α = D⁻¹ JᵀJ δq, where J has the levers as its
+columns and D is the diagonal of JᵀJ, so the bounds of the damping are the same for all joints.
+
 A block is a record: a task, and `LANES` postures that settle side by side.  Innermost loops run
 over the lanes `k`, so that the processor handles several of them at once.  The shapes of its arrays
 are part of its type, so numba compiles anew for each number of joints and nodes.
@@ -48,7 +63,7 @@ def settle(blocks: Any, arm: Any, course: Any) -> None:
                 _place(block, arm)
                 _compare(block, course)
         if course.turns_back:
-            _turn_back(block)
+            _turn_back(block, arm)
 
 
 @inner
@@ -73,8 +88,9 @@ def _place(block, arm):
             _place_node(block, arm.nodes, arm.joint_nodes[i])
         ux, uy, uz = arm.axes[i, 0], arm.axes[i, 1], arm.axes[i, 2]
         px, py, pz = arm.points[i, 0], arm.points[i, 1], arm.points[i, 2]
+        j, ratio, slide = arm.joints[i], arm.turns[i], arm.slides[i]
         for k in range(LANES):
-            block.sine[k], block.cosine[k] = sine_cosine(block.angle[i, k])
+            block.sine[k], block.cosine[k] = sine_cosine(ratio * block.angle[j, k])
         for a in range(3):
             for k in range(LANES):
                 # A row r of the turn becomes r + sin q r×u + (1 − cos q) (u u·r − r).
@@ -86,6 +102,7 @@ def _place(block, arm):
                 dz = s * (x * uy - y * ux) + c * (along * uz - z)
                 block.axis[i, a, k] = along
                 block.shift[a, k] -= dx * px + dy * py + dz * pz
+                block.shift[a, k] += slide * block.angle[j, k] * along
                 block.turn[a, 0, k] = x + dx
                 block.turn[a, 1, k] = y + dy
                 block.turn[a, 2, k] = z + dz
@@ -149,32 +166,61 @@ def _compare(block, course):
 
 @inner
 def _estimate(block, arm, course):
-    """Find the estimates of the hinges, α_i = `pull` / `leverage`."""
+    """Find the estimates of the joints, α_j = `pull` / `leverage`."""
+    block.pull[:] = 0.0
+    block.leverage[:] = 1e-9
     for i in range(arm.axes.shape[0]):
-        g = arm.joint_nodes[i]
+        g, j, ratio = arm.joint_nodes[i], arm.joints[i], arm.turns[i]
         for k in range(LANES):
             spin = block.axis[i, 0, k] * block.spin[0, k] + block.axis[i, 1, k] * block.spin[1, k]
             spin = spin + block.axis[i, 2, k] * block.spin[2, k]
-            block.pull[i, k] = course.weight * spin
-            block.leverage[i, k] = course.weight + 1e-9
+            block.pull[j, k] += course.weight * ratio * spin
+            block.leverage[j, k] += course.weight * ratio * ratio
         for h in range(g + 1, arm.nodes.shape[0]):
             if course.is_placed[h]:
                 for k in range(LANES):
-                    x, y, z = _lever(block, i, g, h, k)
+                    x, y, z = _lever(block, arm, i, h, k)
                     along = x * block.gap[h, 0, k] + y * block.gap[h, 1, k] + z * block.gap[h, 2, k]
-                    block.pull[i, k] += along
-                    block.leverage[i, k] += x * x + y * y + z * z
-                    block.leverage[i, k] += np.maximum(_stretch(block, i, g, h, k), 0.0)
+                    block.pull[j, k] += along
+                    block.leverage[j, k] += x * x + y * y + z * z
+                    stretch = np.maximum(_stretch(block, i, g, h, k), 0.0)
+                    block.leverage[j, k] += ratio * ratio * stretch
+        for m in range(i + 1, arm.axes.shape[0]):
+            if arm.joints[m] == j:
+                _couple(block, arm, course, i, m)
 
 
 @inner
-def _lever(block, i, g, h, k):
-    """Return u_i × v_gh: how fast hinge i, in node g, moves node h."""
+def _couple(block, arm, course, i, m):
+    """Add to the leverage of a joint what two of its axes have together, i before m."""
+    j, ratio = arm.joints[i], arm.turns[i]
+    for a in range(3):
+        for k in range(LANES):
+            along = block.axis[i, a, k] * block.axis[m, a, k]
+            block.leverage[j, k] += 2.0 * course.weight * ratio * arm.turns[m] * along
+    for h in range(arm.joint_nodes[m] + 1, arm.nodes.shape[0]):
+        if course.is_placed[h]:
+            for k in range(LANES):
+                x, y, z = _lever(block, arm, i, h, k)
+                u, v, w = _lever(block, arm, m, h, k)
+                block.leverage[j, k] += 2.0 * (x * u + y * v + z * w)
+                ux, uy, uz = block.axis[i, 0, k], block.axis[i, 1, k], block.axis[i, 2, k]
+                bend = (uy * w - uz * v) * block.gap[h, 0, k]
+                bend = bend + (uz * u - ux * w) * block.gap[h, 1, k]
+                bend = bend + (ux * v - uy * u) * block.gap[h, 2, k]
+                block.leverage[j, k] += 2.0 * np.maximum(-ratio * bend, 0.0)
+
+
+@inner
+def _lever(block, arm, i, h, k):
+    """Return l_ih: how fast axis i moves node h, for a displacement of its joint."""
+    g, ratio, slide = arm.joint_nodes[i], arm.turns[i], arm.slides[i]
     x = block.node[h, 0, k] - block.node[g, 0, k]
     y = block.node[h, 1, k] - block.node[g, 1, k]
     z = block.node[h, 2, k] - block.node[g, 2, k]
     ux, uy, uz = block.axis[i, 0, k], block.axis[i, 1, k], block.axis[i, 2, k]
-    return uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+    x, y, z = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+    return ratio * x + slide * ux, ratio * y + slide * uy, ratio * z + slide * uz
 
 
 @inner
@@ -224,26 +270,27 @@ def _move(block, course):
 def _newton(block, arm, course):
     """Do a damped step of Newton's method; joints that it brings to a limit rest in the next.
 
-    With e, what is missing, and the levers J of the hinges it solves (JᵀJ + λ I) Δq = Jᵀe, where
+    With e, what is missing, and the levers J of the joints it solves (JᵀJ + λ I) Δq = Jᵀe, where
     λ = |e|² or more (Levenberg), by Gauss-Jordan elimination.
     """
-    joints = block.angle.shape[0]
-    for i in range(joints):
-        for j in range(joints):
-            block.row[i, j, :] = 0.0
+    joints, axes = block.angle.shape[0], arm.axes.shape[0]
+    block.row[:] = 0.0
+    for i in range(axes):
+        for m in range(axes):
+            p, r, weight = arm.joints[i], arm.joints[m], course.weight * arm.turns[i] * arm.turns[m]
             for a in range(3):
                 for k in range(LANES):
-                    along = block.axis[i, a, k] * block.axis[j, a, k]
-                    block.row[i, j, k] += course.weight * along
+                    block.row[p, r, k] += weight * (block.axis[i, a, k] * block.axis[m, a, k])
             for k in range(LANES):  # a direction is one vector, which hinges along it do not move
-                along = _along(block, i, k) * _along(block, j, k)
-                block.row[i, j, k] -= course.weight * along
-            for h in range(max(arm.joint_nodes[i], arm.joint_nodes[j]) + 1, arm.nodes.shape[0]):
+                along = _along(block, i, k) * _along(block, m, k)
+                block.row[p, r, k] -= weight * along
+            for h in range(max(arm.joint_nodes[i], arm.joint_nodes[m]) + 1, arm.nodes.shape[0]):
                 if course.is_placed[h]:
                     for k in range(LANES):
-                        x, y, z = _lever(block, i, arm.joint_nodes[i], h, k)
-                        u, v, w = _lever(block, j, arm.joint_nodes[j], h, k)
-                        block.row[i, j, k] += x * u + y * v + z * w
+                        x, y, z = _lever(block, arm, i, h, k)
+                        u, v, w = _lever(block, arm, m, h, k)
+                        block.row[p, r, k] += x * u + y * v + z * w
+    for i in range(joints):
         for k in range(LANES):
             damping = block.merit[k] + course.ridge + _HELD * (1.0 - block.free[i, k])
             block.row[i, i, k] += damping
@@ -265,8 +312,11 @@ def _newton(block, arm, course):
 
 
 @inner
-def _turn_back(block):
-    """Turn joints by whole turns, as near to `start` as limits allow; find |q − start|², `away`."""
+def _turn_back(block, arm):
+    """Turn joints by whole turns, as near to `start` as limits allow; find |q − start|², `away`.
+
+    Of slides, and of joints that turn an axis by a part of a turn meanwhile, there are none.
+    """
     turn = 2.0 * np.pi
     block.away[:] = 0.0
     for i in range(block.angle.shape[0]):
@@ -275,6 +325,7 @@ def _turn_back(block):
             count = np.floor((block.start[i, k] - angle) / turn + 0.5)
             count = np.minimum(count, np.floor((high - angle) / turn))
             count = np.maximum(count, np.ceil((low - angle) / turn))
+            count = count * arm.has_turns[i]
             angle = np.minimum(np.maximum(angle + turn * count, low), high)
             block.angle[i, k] = angle
             block.away[k] += (angle - block.start[i, k]) ** 2

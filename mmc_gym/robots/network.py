@@ -514,9 +514,8 @@ class HingeNetwork:
 
     def _blocks(self, tasks: Records) -> Records:
         """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
-        blocks = np.zeros(
-            len(tasks), block_type(self.arm.joint_count, tasks.dtype["place"].shape[0])
-        )
+        sizes = self.arm.joint_count, tasks.dtype["place"].shape[0], len(self.arm.axes)
+        blocks = np.zeros(len(tasks), block_type(*sizes))
         for name in tasks.dtype.names or ():
             values = tasks[name]
             blocks[name] = np.moveaxis(values, 1, -1) if tasks.ndim == 2 else values[..., None]
@@ -536,9 +535,12 @@ class HingeNetwork:
 
     @cached_property
     def _length(self) -> float:
-        """Return the length of the arm, m: the sum of the distances of neighbouring nodes."""
-        segments = np.diff(self._zero_posture.nodes, axis=0)
-        return float(np.linalg.norm(segments, axis=1).sum()) or 1.0
+        """Return the length of the arm, m: of its segments and of the strokes of its slides."""
+        arm = self._zero_posture
+        segments = np.linalg.norm(np.diff(arm.nodes, axis=0), axis=1)
+        farthest = np.abs(self.arm.limits).max(axis=1)[arm.joints]
+        strokes = np.abs(arm.slides[arm.slides != 0] * farthest[arm.slides != 0])
+        return float(segments.sum() + strokes.sum()) or 1.0
 
     @cached_property
     def _middle(self) -> Floats:
@@ -555,9 +557,7 @@ class HingeNetwork:
 
     @cached_property
     def _zero_posture(self) -> ZeroPosture:
-        arm = self.arm
-        nodes = arm.nodes(np.zeros(arm.joint_count))
-        return ZeroPosture(arm.axes, arm.points, nodes, np.array(arm.joint_nodes))
+        return ZeroPosture.of(self.arm)
 
 
 class _Race(NamedTuple):

@@ -1,5 +1,7 @@
 """The body agents move an arm in space, though its links or joints are not as given."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,12 @@ def reached(seed, shares=(), locked=(), build=mmc_body):
         angles = angles + turn
     hand = observation(angles, target, shares)[7:10]
     return np.linalg.norm(hand - target), state
+
+
+def test_an_arm_with_a_slide_is_refused():
+    arm = replace(ARM, is_slide=(True,) + (False,) * 6)
+    with pytest.raises(UserError, match="interface must be of an arm of hinges, without slides"):
+        mmc_body(replace(INTERFACE, segment_lengths=(), arm=arm))
 
 
 LONGER = (0, 0, 0, 0, 0.2, 0, 0, 0.3)

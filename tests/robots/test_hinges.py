@@ -34,7 +34,7 @@ def postures(arm, count, seed=3):
     return np.random.default_rng(seed).uniform(*arm.limits.T, (count, arm.joint_count))
 
 
-def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_refused(tmp_path):
+def test_a_file_gives_the_poses_that_its_parser_gives(tmp_path):
     yourdfpy = pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
     path = tmp_path / "odd.urdf"
     path.write_text(ODD.format(kind="revolute"))
@@ -50,7 +50,7 @@ def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_ref
 @pytest.mark.parametrize(
     ("before", "after", "named"),
     [
-        ("{kind}", "prismatic", "joint 'four' of line 10 .*'prismatic'"),
+        ("{kind}", "planar", "joint 'four' of line 10 .*'planar'"),
         ("<limit", "<mimic joint='one'/><limit", "'one' of line 3 .*<mimic>"),
         ('xyz="0.1 -0.2', "xyz=0.1 -0.2", "XML: .*line 4"),
         ("0.1 -0.2 0.3", "0.1 0.2", "joint 'one' of line 3"),

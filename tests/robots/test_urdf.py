@@ -1,11 +1,12 @@
 """What a URDF may have between base and tip, against forward kinematics written out here."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from mmc_gym import HingeArm, UserError
+from mmc_gym import HingeArm, HingeNetwork, UserError
 
 pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
 XACRO = """<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -35,6 +36,56 @@ TWO_ARMS = """<robot name="two">
     <origin xyz="0.3 0 0.1" rpy="0.1 0.2 0.3"/><axis xyz="1 0 0"/><limit lower="-2" upper="2"/>
   </joint>
   <joint name="neck" type="floating"><parent link="body"/><child link="head"/></joint>
+</robot>"""
+
+
+LINKS = "".join(f'<link name="{link}"/>' for link in "abcdefgh")
+# A SCARA: its last joint turns about the slide.
+SCARA = f"""<robot name="scara">{LINKS}
+  <joint name="shoulder" type="revolute"><parent link="a"/><child link="b"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 0 1"/><limit lower="-2.5" upper="2.5"/></joint>
+  <joint name="elbow" type="revolute"><parent link="b"/><child link="c"/>
+    <origin xyz="0.35 0 0"/><axis xyz="0 0 1"/><limit lower="-2.4" upper="2.4"/></joint>
+  <joint name="quill" type="prismatic"><parent link="c"/><child link="d"/>
+    <origin xyz="0.3 0 0"/><axis xyz="0 0 2"/><limit lower="-0.2" upper="0.05"/></joint>
+  <joint name="turn" type="continuous"><parent link="d"/><child link="e"/>
+    <axis xyz="0 0 1"/></joint>
+  <joint name="tool" type="fixed"><parent link="e"/><child link="h"/>
+    <origin xyz="0.02 0 -0.1"/></joint>
+</robot>"""
+# Two joints follow two others, so that the hand stays level, but for 0.1; `stop` is held.
+PALLETIZER = f"""<robot name="palletizer">{LINKS}
+  <joint name="waist" type="revolute"><parent link="a"/><child link="b"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9"/></joint>
+  <joint name="upper" type="revolute"><parent link="b"/><child link="c"/>
+    <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/><limit lower="-0.7" upper="1.4"/></joint>
+  <joint name="lower" type="revolute"><parent link="c"/><child link="d"/>
+    <origin xyz="0 0 0.8"/><axis xyz="0 1 0"/><limit lower="-1.2" upper="1.2"/></joint>
+  <joint name="level" type="revolute"><parent link="d"/><child link="e"/>
+    <origin xyz="0.7 0 0"/><axis xyz="0 1 0"/><mimic joint="lower" multiplier="-1"/></joint>
+  <joint name="level_too" type="revolute"><parent link="e"/><child link="f"/>
+    <axis xyz="0 1 0"/><mimic joint="upper" multiplier="-1" offset="0.1"/></joint>
+  <joint name="turn" type="revolute"><parent link="f"/><child link="g"/>
+    <origin xyz="0.1 0 -0.1"/><axis xyz="0 0 1"/><limit lower="-3" upper="3"/></joint>
+  <joint name="stop" type="prismatic"><parent link="g"/><child link="h"/>
+    <axis xyz="0 3 4"/><limit lower="0.2" upper="0.2"/></joint>
+</robot>"""
+# Two slides on a hinge, the second shorter; a hinge and a nut that follow the first, as a screw.
+TELESCOPE = f"""<robot name="telescope">{LINKS}
+  <joint name="base" type="continuous"><parent link="a"/><child link="b"/>
+    <origin rpy="0.2 0.1 0"/><axis xyz="0 0 1"/></joint>
+  <joint name="pitch" type="revolute"><parent link="b"/><child link="c"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 1 0"/><limit lower="-1.5" upper="0.5"/></joint>
+  <joint name="out" type="prismatic"><parent link="c"/><child link="d"/>
+    <origin xyz="0.5 0 0"/><axis xyz="1 0 0"/><limit lower="0" upper="0.4"/></joint>
+  <joint name="further" type="prismatic"><parent link="d"/><child link="e"/>
+    <origin xyz="0.1 0 0"/><axis xyz="1 0 0"/>
+    <mimic joint="out" multiplier="0.8" offset="0.05"/></joint>
+  <joint name="screw" type="revolute"><parent link="e"/><child link="f"/>
+    <origin xyz="0.1 0 0.1"/><axis xyz="1 0 0.1"/>
+    <mimic joint="further" multiplier="2.5" offset="-0.3"/></joint>
+  <joint name="fan" type="revolute"><parent link="f"/><child link="h"/>
+    <origin xyz="0 0.2 0"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
 </robot>"""
 
 
@@ -111,6 +162,133 @@ def test_a_chain_may_lead_up_the_tree_and_equal_limits_hold_a_joint(base, tip, n
     limits = {"l_shoulder": [-1, 2], "l_elbow": [-np.inf, np.inf], "r_shoulder": [-2, 1]}
     assert arm.limits.tolist() == [limits.get(name, [-2, 2]) for name in names]
     check_poses(arm, TWO_ARMS, base, tip)
+
+
+CHAINS = [
+    (SCARA, ["shoulder", "elbow", "quill", "turn"]),
+    (PALLETIZER, ["waist", "upper", "lower", "turn"]),
+    (TELESCOPE, ["base", "pitch", "out", "fan"]),
+]
+
+
+@pytest.mark.parametrize(("text", "names"), CHAINS, ids=["scara", "palletizer", "telescope"])
+def test_slides_and_followers_put_the_hand_where_the_file_does(text, names, tmp_path):
+    for base, tip, order in (("a", "h", names), ("h", "a", None)):
+        arm = read(tmp_path, text, base, tip)
+        assert sorted(arm.joint_names) == sorted(names)
+        assert order is None or list(arm.joint_names) == order
+        angles, _ = check_poses(arm, text, base, tip)
+        assert not arm.has_only_hinges
+        # The rule of the nodes: a hinge turns nothing of its node, and all that is beyond it.
+        frames, least = arm.frames(angles), np.eye(arm.joint_count) * 1e-6
+        for joint in range(arm.joint_count):
+            moved = (arm.nodes(angles + least[joint]) - arm.nodes(angles - least[joint])) / 2e-6
+            lever = np.zeros_like(moved)
+            for axis, node in enumerate(arm.joint_nodes):
+                if arm.axis_joints[axis] == joint:
+                    along, beyond = frames.axes[:, axis, None], frames.nodes[:, node + 1 :]
+                    turned = np.cross(along, beyond - frames.nodes[:, node, None])
+                    slid = along if arm.is_slide[axis] else turned
+                    lever[:, node + 1 :] += arm.ratios[axis] * slid
+            np.testing.assert_allclose(lever, moved, atol=1e-8)
+
+
+@pytest.mark.slow  # numba compiles for each
+@pytest.mark.parametrize(("text", "names"), CHAINS, ids=["scara", "palletizer", "telescope"])
+def test_slides_and_followers_find_their_poses_as_hinges_do(text, names, tmp_path):
+    arm = read(tmp_path, text, "a", "h")
+    angles, poses = check_poses(arm, text, "a", "h")
+    network = HingeNetwork(arm)
+    for rotation_of_hand in (None, poses[:, :3, :3]):
+        solution = network.solve(poses[:, :3, 3], rotation_of_hand, tolerance=(1e-6, 1e-6))
+        assert solution.is_solved.all()
+        assert (solution.joint_angles >= arm.limits[:, 0]).all()
+        assert (solution.joint_angles <= arm.limits[:, 1]).all()
+        reached = arm.forward(solution.joint_angles)
+        np.testing.assert_allclose(reached[:, :3, 3], poses[:, :3, 3], atol=2e-6)
+    np.testing.assert_allclose(reached, poses, atol=2e-5)
+    # Without Newton's method: the iteration itself settles from near, and stays there.
+    start, clamps = network.state(angles + 0.01), network.clamp(poses[:, :3, 3], poses[:, :3, :3])
+    settled = network.run(start, clamps, 2000).joint_angles
+    np.testing.assert_allclose(arm.forward(settled), poses, atol=1e-3)
+    held = {name: angles[:, joint] for joint, name in enumerate(names[:3])}
+    last = network.solve(poses[:, :3, 3], poses[:, :3, :3], held=held)
+    assert last.is_solved.all()
+    np.testing.assert_array_equal(last.joint_angles[:, :3], angles[:, :3])
+
+
+def test_slides_do_not_turn_back_and_do_not_go_beyond_what_is_out_of_reach(tmp_path):
+    arm = read(
+        tmp_path, SCARA.replace('lower="-0.2" upper="0.05"', 'lower="-8" upper="8"'), "a", "h"
+    )
+    network = HingeNetwork(arm)
+    far = network.solve([0.4, 0.2, 7.5], start=[0, 0.5, 0, 0])
+    assert far.is_solved
+    assert far.joint_angles[2] == pytest.approx(7.3, abs=2e-3)
+    beyond = network.solve([0.4, 0.2, 9.0], starts=16)
+    assert not beyond.is_solved
+    assert beyond.position_error == pytest.approx(0.8, abs=2e-3)
+
+
+def test_a_joint_that_follows_one_beside_the_chain_has_its_name_and_limits(tmp_path):
+    follower = '<link name="i"/><joint name="finger" type="prismatic"><parent link="h"/>'
+    follower += (
+        '<child link="i"/><limit lower="0" upper="0"/><mimic joint="fan" multiplier="0.01"/>'
+    )
+    text = TELESCOPE.replace("</robot>", follower + "</joint></robot>")
+    arm = read(tmp_path, text, "h", "i")
+    assert (arm.joint_names, arm.limits.tolist()) == (("fan",), [[-2, 2]])
+    check_poses(arm, text, "h", "i")
+    assert str(arm) == "fan   -2.00 to  2.00  node 0 slides"
+    held = text.replace('lower="-2" upper="2"', 'lower="1" upper="1"')
+    with pytest.raises(UserError, match="between base 'h' and tip 'i' must be a hinge or a slide"):
+        read(tmp_path, held, "h", "i")
+    check_poses(read(tmp_path, held, "a", "i"), held, "a", "i")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('joint="further"', 'joint="gone"', "'screw' of line .* a joint that moves, got 'gone'"),
+        ('joint="out"', 'joint="screw"', "'screw' of line .* a joint that moves, got 'further'"),
+        ('multiplier="2.5"', 'multiplier="twice"', "'screw' of line .* numbers, got .'twice'"),
+        ('multiplier="2.5"', 'multiplier="inf"', "'screw' of line .* finite numbers, got .'inf'"),
+        ('upper="0.4"', 'upper="1e9"', "'out' of line .* slide by 1000 m at most, got 0 and 1e"),
+        ('upper="0.4"', "", "'out' of line .* <limit> .* as it is prismatic"),
+        (
+            'lower="-1.5"',
+            'lower="0.6"',
+            "'pitch' of line .* limits lower <= upper, got 0.6 and 0.5",
+        ),
+        ("prismatic", "planar", "'out' of line .* prismatic or fixed, got 'planar'"),
+    ],
+)
+def test_a_joint_that_cannot_be_in_a_chain_is_named_with_its_line(before, after, message, tmp_path):
+    with pytest.raises(UserError, match=message):
+        read(tmp_path, TELESCOPE.replace(before, after, 1), "a", "h")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("axis_joints", (0, 1, 3, 4), "axis_joints must be 4 numbers"),
+        ("axis_joints", (1, 0), "axis_joints must be 4 numbers"),
+        ("ratios", (1, 1, 0, 1), "ratios must be 4 finite numbers"),
+        ("is_slide", (True,), "is_slide must be 4 times"),
+        ("is_slide", (False, False, False, True), "limits must be finite for slides"),
+    ],
+)
+def test_axes_that_no_joint_can_move_are_refused(field, value, message, tmp_path):
+    arm = read(tmp_path, SCARA, "a", "h")
+    with pytest.raises(UserError, match=message):
+        replace(arm, **{field: value})
+
+
+def test_an_arm_with_fewer_hinges_is_made_of_another():
+    arm = HingeArm.named("panda")
+    shorter = {name: getattr(arm, name)[:5] for name in ("axes", "points", "limits", "joint_names")}
+    arm = replace(arm, **shorter)
+    assert (arm.joint_count, arm.axis_joints, arm.has_only_hinges) == (5, (0, 1, 2, 3, 4), True)
 
 
 def test_what_is_not_joined_to_the_base_or_floats_or_is_all_held_is_refused(tmp_path):

@@ -27,7 +27,7 @@ from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.agents.body_model.imagination import TOTAL_WEIGHT
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats, damped_least_squares
-from mmc_gym.interface import ReachInterface, Seen, Sensed
+from mmc_gym.interface import CannotActError, ReachInterface, Seen, Sensed
 from mmc_gym.robots import HingeArm, HingeNetwork
 
 SpatialModel: TypeAlias = Callable[[HingeArm, Floats, Floats, Bools, float], Floats]
@@ -71,9 +71,14 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
     def __init__(self, interface: ReachInterface, model: SpatialModel, parts: Parts) -> None:
         """Make the agent; `parts` switch links, locks and imagination off.
 
-        It cannot act for an arm in the plane, or under torque control.
+        It cannot act for an arm in the plane or with slides or followers, or under torque control.
         """
         super().__init__(interface)
+        if not interface.arm.has_only_hinges:
+            raise CannotActError(
+                "interface must be of an arm of hinges, without slides and joints "
+                "that follow others (<mimic>), for this agent"
+            )
         self.model, self.parts, self.arm = model, parts, interface.arm
         self.reach = np.linalg.norm(links_of(self.arm), axis=1).sum()
         self.within = interface.success_distance or SUCCESS * self.reach
