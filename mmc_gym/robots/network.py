@@ -85,7 +85,7 @@ FEW = 4  # free joints, up to which a third of them is too little damping
 CALM = 0.6  # damping that is enough for any, shares of the free joints
 PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of tolerance × arm's length
 PLACE_STEPS = 60  # of Newton's method, then
-DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians
+DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
 _NO_START = "without prefer or solutions, where all starts settle"
 _CHUNK = 64  # tasks in memory at once
 _SINGLE = float(np.finfo(np.float32).eps)
@@ -253,7 +253,10 @@ class HingeNetwork:
         for (joint, angle), value in zip(angles.items(), held.values()):
             low, high = arm.limits[joint]
             name = arm.joint_names[joint]
-            accepted = f"within the limits of {name!r}, {low:.6g} to {high:.6g} rad"
+            movers = zip(arm.axis_joints, arm.is_slide)
+            units = {"m" if slides else "rad" for mover, slides in movers if mover == joint}
+            unit = " or ".join(sorted(units))
+            accepted = f"within the limits of {name!r}, {low:.6g} to {high:.6g} {unit}"
             within = angle.clip(low, high)
             is_within = np.abs(angle - within) <= _SINGLE * np.maximum(1.0, np.abs(within))
             require(bool(is_within.all()), "held", value, accepted)
@@ -336,10 +339,11 @@ class HingeNetwork:
             axis: of the hand.
             tool: whose point or pose the hand's stand for.
             prefer: postures (..., n).  All starts settle, and of the solutions the nearest to it
-                wins, each joint by its nearest whole turn.
+                wins, each hinge by its nearest whole turn; a metre of a slide counts as a radian.
             solutions: so many are returned, on an axis after those of the batch, the nearest to
                 `prefer` or to the middle of the limits first.  All starts settle.  They differ by
-                0.1 rad in some joint; where there are fewer, the rest is nan and not solved.
+                0.1 rad in some joint, or 0.1 m of a slide; where there are fewer, the rest is nan
+                and not solved.
         """
         clamps = self.clamp(
             position,
@@ -471,8 +475,9 @@ class HingeNetwork:
             for end in ends[ends["rank"] < 0]:
                 if size == count:
                     break
-                turn = np.abs(row["angle"][:size] - end["angle"])
-                if np.minimum(turn, np.abs(turn - 2 * np.pi)).max(axis=1).min() > DISTINCT:
+                gap = np.abs(row["angle"][:size] - end["angle"])
+                turned = np.minimum(gap, np.abs(gap - 2 * np.pi))
+                if np.where(race.arm.has_turns, turned, gap).max(axis=1).min() > DISTINCT:
                     row[size] = end
                     size += 1
         left = nearest["rank"][:, 0] >= 0

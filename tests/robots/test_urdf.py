@@ -230,6 +230,75 @@ def test_slides_do_not_turn_back_and_do_not_go_beyond_what_is_out_of_reach(tmp_p
     assert beyond.position_error == pytest.approx(0.8, abs=2e-3)
 
 
+@pytest.mark.parametrize(("text", "names"), CHAINS, ids=["scara", "palletizer", "telescope"])
+@pytest.mark.parametrize(("base", "tip"), [("a", "h"), ("h", "a")])
+def test_the_jacobian_of_slides_and_followers_is_that_of_finite_differences(
+    text, names, base, tip, tmp_path
+):
+    arm = read(tmp_path, text, base, tip)
+    angles, poses = check_poses(arm, text, base, tip)
+    jacobian = arm.jacobian(angles)
+    assert jacobian.shape == (20, 6, len(names))
+    for joint, nudge in enumerate(1e-6 * np.eye(arm.joint_count)):
+        rate = (arm.forward(angles + nudge) - arm.forward(angles - nudge)) / 2e-6
+        spin = rate[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
+        turning = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
+        moving = np.concatenate([rate[:, :3, 3], turning], axis=-1)
+        np.testing.assert_allclose(jacobian[..., joint], moving, atol=1e-8)
+
+
+def test_slides_and_followers_take_tools_directions_preferences_and_several_solutions(tmp_path):
+    arm, tool, exact = read(tmp_path, TELESCOPE, "a", "h"), np.eye(4), (1e-6, 1e-6)
+    tool[:3, :3], tool[:3, 3] = rotation([1, 2, 3], 0.8), [0.05, -0.1, 0.2]
+    angles, poses = check_poses(arm, TELESCOPE, "a", "h")
+    poses, network = poses @ tool, HingeNetwork(arm)
+    places = poses[:, :3, 3]
+
+    whole = network.solve(pose=poses, tool=tool, tolerance=exact)
+    assert whole.is_solved.all()
+    np.testing.assert_allclose(arm.forward(whole.joint_angles) @ tool, poses, atol=2e-5)
+
+    aimed = network.solve(
+        places, direction=poses[:, :3, 0], axis="x", tool=tool, tolerance=(1e-6, 1e-5)
+    )
+    assert aimed.is_solved.all()
+    reached = arm.forward(aimed.joint_angles) @ tool
+    np.testing.assert_allclose(reached[:, :3, 3], places, atol=2e-6)
+    np.testing.assert_allclose(reached[:, :3, 0], poses[:, :3, 0], atol=2e-5)
+
+    turned = angles + np.array([2 * np.pi, 0, 0, 0])  # the first joint is continuous
+    preferred = network.solve(pose=poses, tool=tool, prefer=turned, tolerance=exact)
+    np.testing.assert_allclose(preferred.joint_angles, turned, atol=1e-3)
+
+    several = network.solve(places, tool=tool, solutions=3, prefer=angles, tolerance=exact)
+    assert several.joint_angles.shape == (20, 3, 4)
+    assert several.is_solved[:, 0].all()
+    assert several.is_solved.mean() > 0.5
+    far = np.linalg.norm(several.joint_angles - angles[:, None], axis=-1)
+    assert (np.diff(np.where(several.is_solved, far, np.inf)[:, :2]) >= 0).all()
+    reached = (arm.forward(several.joint_angles) @ tool)[..., :3, 3] - places[:, None]
+    assert np.linalg.norm(reached, axis=-1)[several.is_solved].max() < 2e-6
+
+    other = rotation([1, 1, 0], 1.0) @ poses[:, :3, :3]  # four joints do not have it there
+    first = network.solve(places, other, tool=tool, tolerance=exact)
+    assert not first.is_solved.any()
+    assert np.median(first.position_error) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("text", "joint", "message"),
+    [
+        (SCARA, "quill", "within the limits of 'quill', -0.2 to 0.05 m, got 3"),
+        (SCARA, "elbow", "within the limits of 'elbow', -2.4 to 2.4 rad, got 3"),
+        (TELESCOPE, "out", "within the limits of 'out', 0 to 0.4 m or rad, got 3"),
+    ],
+)
+def test_a_lock_beyond_the_limits_is_told_in_the_unit_of_the_joint(text, joint, message, tmp_path):
+    network = HingeNetwork(read(tmp_path, text, "a", "h"))
+    with pytest.raises(UserError, match=message):
+        network.solve([0, 0, 0], held={joint: 3})
+
+
 def test_a_joint_that_follows_one_beside_the_chain_has_its_name_and_limits(tmp_path):
     follower = '<link name="i"/><joint name="finger" type="prismatic"><parent link="h"/>'
     follower += (
