@@ -106,7 +106,9 @@ def _place(block, arm):
                 block.turn[a, 0, k] = x + dx
                 block.turn[a, 1, k] = y + dy
                 block.turn[a, 2, k] = z + dz
-    _place_node(block, arm.nodes, arm.nodes.shape[0] - 1)
+    last = arm.nodes.shape[0] - 1
+    for g in range(min(arm.joint_nodes[-1] + 1, last), last + 1):  # hand and tool
+        _place_node(block, arm.nodes, g)
 
 
 @inner

@@ -207,6 +207,22 @@ def test_a_tool_leaves_the_nodes_as_they_are():
     np.testing.assert_allclose((forward(PANDA, settled) @ [*tool, 1])[:3], tip, atol=1e-3)
 
 
+def test_a_hand_beside_the_last_axis_may_be_held_together_with_its_tool():
+    home = UR5.home.copy()
+    home[:3, 3] += 0.1, 0.05, 0.02
+    arm = replace(UR5, home=home)
+    assert arm.joint_nodes[-1] < arm.node_count - 1
+    hand = arm.forward([0.5, -1.2, 1.6, -0.7, 1.1, 0.4])
+    tip = (hand @ [0.05, 0.1, 0.1, 1])[:3]
+    solution = HingeNetwork(arm).solve(
+        tip, points={4: hand[:3, 3]}, tool=[0.05, 0.1, 0.1], tolerance=(1e-6, 1e-6)
+    )
+    assert solution.is_solved
+    reached = forward(arm, solution.joint_angles)
+    np.testing.assert_allclose(reached[:3, 3], hand[:3, 3], atol=2e-6)
+    np.testing.assert_allclose((reached @ [0.05, 0.1, 0.1, 1])[:3], tip, atol=2e-6)
+
+
 @pytest.mark.parametrize("arm", [UR5, PANDA])
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("has_tool", [True, False])
