@@ -374,13 +374,9 @@ def train(
                     f"final distance {scores['final_distance']:.3f}  {scores['seconds']:6.0f} s"
                 )
 
-        shared |= {"env": env, "seed": seed, "steps": steps, "out": folder, "resume": resume}
-        shared |= {
-            "without": without,
-            "tensorboard": tensorboard,
-            "device": device,
-            "on_progress": report,
-        }
+        shared |= {"env": env, "seed": seed, "steps": steps, "without": without}
+        shared |= {"out": folder, "resume": resume, "tensorboard": tensorboard}
+        shared |= {"device": device, "on_progress": report}
         card = training.train(name, **shared).card
     print(
         f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "

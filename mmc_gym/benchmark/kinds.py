@@ -8,7 +8,7 @@ it never met, see `generalisation`; this asks it of kinds.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container
 from contextlib import suppress
 
 from mmc_gym._errors import UserError
@@ -41,7 +41,7 @@ def protocol() -> list[str]:
     return [BASELINE, *(name for name in names if group_of(name))]
 
 
-def trained_without(name: str, agents: Iterable[str]) -> dict[str, str]:
+def trained_without(name: str, agents: Container[str]) -> dict[str, str]:
     """Return which of the agents are trainings like that of `name` without a group, by group."""
     names = {group: name_without(name, group) for group in GROUPS}
     return {group: label for group, label in names.items() if label in agents}

@@ -64,7 +64,7 @@ _cursor, _geometry, _loads, _locks, _motors, _senses = (partial(_family, name) f
 _FINITE: dict[str, Any] = {"low": -LARGEST_SIZE, "high": LARGEST_SIZE}
 _LENGTH: dict[str, Any] = {"neutral": 0.0, "known": True, "begins": False, "of": "segment"}
 _JOINT: dict[str, Any] = {"low": 1.0, "whole": True}
-_STD: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": LARGEST_SIZE}
+_SIZE: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": LARGEST_SIZE}
 _MS: dict[str, Any] = {"neutral": 0.0, "low": 0.0, "high": _MOST_MS}
 _FACTOR: dict[str, Any] = {"neutral": 1.0, "low": SMALLEST_SIZE, "high": LARGEST_SIZE}
 _FACTOR["begins"] = False
@@ -282,10 +282,8 @@ def Channel(arms: Arms, curl: Floats) -> None:
     "of the largest torque",
     "dry friction of joints, {} of the largest torque",
     0.3,
-    neutral=0.0,
-    low=0.0,
-    high=LARGEST_SIZE,
     begins=False,
+    **_SIZE,
 )
 def joint_friction(arms: Arms, share: Floats) -> None:
     """Dry friction brakes all joints with this share of the servos' largest torque.
@@ -301,10 +299,8 @@ def joint_friction(arms: Arms, share: Floats) -> None:
     "of the largest torque",
     "viscous friction of joints, {} of the largest torque at full speed",
     0.3,
-    neutral=0.0,
-    low=0.0,
-    high=LARGEST_SIZE,
     begins=False,
+    **_SIZE,
 )
 def joint_damping(arms: Arms, share: Floats) -> None:
     """Viscous friction grows with a joint's speed to this share of the largest torque.
@@ -391,14 +387,14 @@ def backlash(arms: Arms, share: Floats) -> None:
 
 
 @_motors(
-    "action-noise", "of the largest action", "noise of actions, {} of the largest", 0.1, **_STD
+    "action-noise", "of the largest action", "noise of actions, {} of the largest", 0.1, **_SIZE
 )
 def action_noise(arms: Arms, std: Floats) -> None:
     """White noise of actions, of this standard deviation."""
     _add_variance(arms.action_noise, std)
 
 
-@_motors("action-noise-size", "of the action", "noise of actions, {} of their size", 0.2, **_STD)
+@_motors("action-noise-size", "of the action", "noise of actions, {} of their size", 0.2, **_SIZE)
 def action_noise_size(arms: Arms, std: Floats) -> None:
     """White noise of actions that grows with them.
 
@@ -455,7 +451,7 @@ def servo_gain(arms: Arms, factor: Floats) -> None:
 # Senses that are noisy, wrong or late, see `mmc_gym.envs.senses`.
 
 
-@_senses("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, **_STD)
+@_senses("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, **_SIZE)
 def JointNoise(arms: Arms, std: Floats) -> None:
     """Noise of joint angles, of this standard deviation; that of velocities is 10 / s times that.
 
@@ -465,14 +461,18 @@ def JointNoise(arms: Arms, std: Floats) -> None:
     _add_variance(arms.joint_noise, std)
 
 
-@_senses("joint-noise-speed", "s", "noise of joint angles, {} s of joint speed", 0.01, **_STD)
+@_senses("joint-noise-speed", "s", "noise of joint angles, {} s of joint speed", 0.01, **_SIZE)
 def JointNoiseSpeed(arms: Arms, std: Floats) -> None:
     """Noise of joint angles whose standard deviation grows with the joint's speed."""
     _add_variance(arms.joint_noise_speed, std)
 
 
 @_senses(
-    "vision-noise", "lengths", "noise of the seen hand and target, {} segment lengths", 0.03, **_STD
+    "vision-noise",
+    "lengths",
+    "noise of the seen hand and target, {} segment lengths",
+    0.03,
+    **_SIZE,
 )
 def VisionNoise(arms: Arms, std: Floats) -> None:
     """Noise of the seen hand and target, in each coordinate."""
@@ -484,14 +484,14 @@ def VisionNoise(arms: Arms, std: Floats) -> None:
     "of distance",
     "noise of the seen hand and target, {} of their distance",
     0.05,
-    **_STD,
+    **_SIZE,
 )
 def VisionNoiseDistance(arms: Arms, std: Floats) -> None:
     """Noise of the seen hand and target that grows with their distance (Weber's law)."""
     _add_variance(arms.vision_noise_distance, std)
 
 
-@_senses("observation-noise", "of each number", "noise of observed numbers, {}", 0.1, **_STD)
+@_senses("observation-noise", "of each number", "noise of observed numbers, {}", 0.1, **_SIZE)
 def observation_noise(arms: Arms, std: Floats) -> None:
     """White noise of each number of the observation, of this standard deviation, alike for all."""
     _add_variance(arms.observation_noise, std)

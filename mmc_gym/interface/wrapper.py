@@ -64,10 +64,10 @@ class InterfacedEnv(gym.Env[Any, Any]):
 
     @override
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        if isinstance(self.action_space, gym.spaces.Box):
-            accepted = f"of shape {self.action_space.shape}, as the actions of env are"
-            count = math.prod(self.action_space.shape)
-            require(np.size(action) == count, "action", np.shape(action), accepted)
+        space = self.action_space
+        if isinstance(space, gym.spaces.Box) and np.size(action) != math.prod(space.shape):
+            accepted = f"of shape {space.shape}, as the actions of env are"
+            require(False, "action", np.shape(action), accepted)
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, terminated, truncated, self._described(observation, info)
 

@@ -239,9 +239,8 @@ class HingeNetwork:
             aim = _floats("direction", direction, (3,))
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
             require(bool((length > 0).all()), "direction", direction, "other than zero")
-            held_axis = home[
-                :3, get_args(Axis).index(axis)
-            ].copy()  # a slice would be compiled anew
+            column = get_args(Axis).index(axis)
+            held_axis = home[:3, column].copy()  # a slice would be compiled anew
             # The product of this and the turn of a posture has twice the cosine as its trace.
             turn = 2 * (aim / length)[..., :, None] * held_axis
         shapes = [angle.shape for angle in angles.values()]

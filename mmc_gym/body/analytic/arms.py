@@ -26,12 +26,7 @@ from typing_extensions import override
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, NewParameters, SingleArm
-from mmc_gym.body.parameters import (
-    ArmColumns,
-    ArmParameters,
-    Servo,
-    stacked,
-)
+from mmc_gym.body.parameters import ArmColumns, ArmParameters, Servo, stacked
 
 _WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default

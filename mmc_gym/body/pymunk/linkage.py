@@ -106,12 +106,9 @@ class Linkage:
         """Return whether `change` takes these parameters: the arm has the joints they need."""
         locks = {joint for joint, _ in self.locks}
         has_limits = parameters.joint_limits is not None
-        has_brakes = bool(self.brakes) or not parameters.has_friction
-        return (
-            has_brakes
-            and has_limits == bool(self.stops)
-            and locks.issuperset(parameters.lockable_joints)
-        )
+        if parameters.has_friction and not self.brakes:
+            return False
+        return has_limits == bool(self.stops) and locks.issuperset(parameters.lockable_joints)
 
     def change(self, parameters: ArmParameters) -> None:
         """Set all numbers; `place` has to follow."""
