@@ -61,17 +61,18 @@ class Walk:
 
     The first is uniformly distributed, and so is that of an episode with a seed of its own.  The
     changes are those of the Real-World RL suite (Dulac-Arnold et al. 2021, Machine Learning
-    110:2419): normally distributed ("walk"), or their size, upward ("drift"), and from the end back
-    to the beginning ("cycle").  A negative `step` leads downward.
+    110:2419): normally distributed ("walk"), or their size, upward ("drift"), from the end back to
+    the beginning ("cycle"), or from either end back toward the other ("saw").  A negative `step`
+    leads downward.
     """
 
     low: float
     high: float
     step: float  #: standard deviation of a change
-    kind: Literal["walk", "drift", "cycle"] = "walk"
+    kind: Literal["walk", "drift", "cycle", "saw"] = "walk"
 
     def __post_init__(self) -> None:
-        require_choice("kind", self.kind, ("walk", "drift", "cycle"))
+        require_choice("kind", self.kind, ("walk", "drift", "cycle", "saw"))
         for name in ("low", "high", "step"):
             require_number(name, getattr(self, name), "a finite number")
         require(self.low < self.high, "high", self.high, f"higher than {self.low:g}")
@@ -84,18 +85,49 @@ class Walk:
         """Return the first strengths at the quantiles `shares` (0 to 1), in the same shape."""
         return self.low + (self.high - self.low) * shares
 
-    def after(self, before: Any, shares: Any) -> Any:
-        """Return the strengths that follow those before, at the quantiles of the changes, (n,)."""
+    @property
+    def direction(self) -> Direction | None:
+        """Where a saw is heading at first: a second number, which the strength needs."""
+        is_saw = self.kind == "saw"
+        return Direction(self.low, self.high, math.copysign(1, self.step)) if is_saw else None
+
+    def after(self, before: Any, shares: Any, direction: Any = None) -> Any:
+        """Return the strengths that follow those before, at the quantiles of the changes, (n,).
+
+        A saw heads upward where `direction` is 1, and downward where it is -1.
+        """
         from scipy.special import ndtri  # `import mmc_gym` loads no scipy
 
         change = self.step * ndtri(np.clip(shares, 1e-12, 1 - 1e-12))
         if self.kind != "walk":
-            change = np.copysign(change, self.step)
+            change = np.copysign(change, self.step if direction is None else direction)
         strengths = before + change
         if self.kind == "cycle":
             is_over = (strengths >= self.high) if self.step > 0 else (strengths <= self.low)
             strengths = np.where(is_over, self.low if self.step > 0 else self.high, strengths)
         return np.clip(strengths, self.low, self.high)
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Where a saw is heading: upward (1) or downward (-1)."""
+
+    low: float  #: strength from which it heads upward, and downward from the other
+    high: float
+    first: float
+
+    def support(self) -> tuple[float, float]:
+        """Return the least and the greatest direction."""
+        return -1.0, 1.0
+
+    def ppf(self, shares: Any) -> Any:
+        """Return the first directions, in the shape of `shares`."""
+        return np.full_like(shares, self.first, dtype=np.float64)
+
+    def after(self, before: Any, shares: Any, strengths: Any) -> Any:
+        """Return the directions that follow those of the episode before and its strengths, (n,)."""
+        downward = np.where(strengths >= self.high, -1.0, before)
+        return np.where(strengths <= self.low, 1.0, downward)
 
 
 @dataclass(frozen=True)
@@ -115,12 +147,19 @@ class InUnits:
         """Return the numbers at the quantiles `shares` (0 to 1), in the same shape."""
         return self.offset + self.factor * self.distribution.ppf(shares)
 
-    def after(self, before: Any, shares: Any) -> Any:
+    @property
+    def direction(self) -> Direction | None:
+        """As of `Walk`, whose factor is positive."""
+        direction = getattr(self.distribution, "direction", None)
+        return direction and Direction(*self.support(), direction.first)
+
+    def after(self, before: Any, shares: Any, direction: Any = None) -> Any:
         """Return the numbers of an episode, given those of the one before, see `Walk`."""
         after = getattr(self.distribution, "after", None)
         if after is None:
             return self.ppf(shares)
-        return self.offset + self.factor * after((before - self.offset) / self.factor, shares)
+        numbers = after((before - self.offset) / self.factor, shares, direction)
+        return self.offset + self.factor * numbers
 
 
 def ends_of(number: Any) -> tuple[float, float]:

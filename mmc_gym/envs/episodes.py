@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError, require
 from mmc_gym.envs.arms import BODY, IN_FLIGHT, Arms, Floats
-from mmc_gym.envs.changes import AnyChange, Change, Distribution, Family, OneOf, ends_of
+from mmc_gym.envs.changes import (
+    AnyChange,
+    Change,
+    Direction,
+    Distribution,
+    Family,
+    OneOf,
+    ends_of,
+)
 from mmc_gym.envs.workspace import Point, uniform_numbers
 
 if TYPE_CHECKING:
@@ -160,6 +168,8 @@ class Episodes:
     def _place(self, name: str, distribution: Any, option: tuple[int, int] | None) -> int:
         same = sum(strength.name.partition("#")[0] == name for strength in self.strengths)
         name = f"{name}#{same + 1}" if same else name
+        if direction := getattr(distribution, "direction", None):  # stands before its strength
+            self._place(f"{name}.direction", direction, option)
         are_whole = not (distribution.ppf(np.linspace(0.01, 0.99, 50)) % 1).any()
         whole = getattr(distribution, "whole", are_whole)
         self.strengths.append(Strength(name, distribution, *ends_of(distribution), option, whole))
@@ -219,8 +229,13 @@ class Episodes:
             distribution, shares = strength.distribution, uniform[:, place]
             column = distribution.ppf(shares)
             if before is not None and hasattr(distribution, "after"):
+                more: tuple[Floats, ...] = ()
+                if isinstance(distribution, Direction):
+                    more = (before[:, place + 1],)
+                elif getattr(distribution, "direction", None):
+                    more = (drawn[:, place - 1],)
                 last = before[:, place]
-                column = np.where(np.isnan(last), column, distribution.after(last, shares))
+                column = np.where(np.isnan(last), column, distribution.after(last, shares, *more))
             drawn[:, place] = np.clip(column, strength.low, strength.high)
         return drawn
 

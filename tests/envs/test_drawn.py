@@ -307,7 +307,7 @@ def strengths_of(env, episodes, **first):
     return np.array([info["context"]["rotation"] for info in infos])
 
 
-@pytest.mark.parametrize("kind", ["walk", "drift", "cycle"])
+@pytest.mark.parametrize("kind", ["walk", "drift", "cycle", "saw"])
 def test_a_strength_walks_from_episode_to_episode(kind, engine):
     made = {"perturbations": VisuomotorRotation(Walk(-60, 60, 8, kind)), "engine": engine}
     native = gym.make_vec("MMCReach-v0", num_envs=3, **made)
@@ -319,6 +319,10 @@ def test_a_strength_walks_from_episode_to_episode(kind, engine):
     is_inside = np.abs(walked[1:]) < 60
     if kind == "walk":
         assert 5 < changes[is_inside].std() < 11
+    elif kind == "saw":  # it turns at the ends, and only there
+        turns = changes[1:] * changes[:-1] < 0
+        assert np.all(np.abs(walked[1:-1][turns]) == 60)
+        assert turns.sum(axis=0).min() >= 2
     else:
         backward = changes < 0
         assert backward.any() == (kind == "cycle")
@@ -332,6 +336,11 @@ def test_a_walk_is_copied_restarts_and_survives_a_file():
     copied = deepcopy(env)
     np.testing.assert_array_equal(strengths_of(env, 5), strengths_of(copied, 5))
     assert as_change(json.loads(json.dumps(as_plain(walk)))) == walk
+    saw = {"rotation": 10.0, "rotation.direction": -1.0}  # where it is, and where it is heading
+    env.unwrapped.set_perturbations([VisuomotorRotation(Walk(0.0, 90.0, 1.0, "saw"))])
+    _, info = env.reset(options={"context": saw})
+    assert info["context"] == saw
+    assert strengths_of(env, 1)[0] < 10
     env.unwrapped.set_perturbations([VisuomotorRotation(Walk(0.0, 90.0, 1.0))])
     assert np.all(strengths_of(env, 3) >= 0)
     _, info = env.reset(options={"context": {"rotation": 45.0}})
