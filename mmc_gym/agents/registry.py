@@ -182,6 +182,13 @@ AGENTS: dict[str, AgentEntry] = {
         memory=68,
         command="python -m studies.learners.ppo_memory",
     ),
+    **_trained(
+        "ppo-memory-kinds",
+        "as ppo-memory, taught under motors and senses that fail, too",
+        3,
+        memory=68,
+        command="python -m studies.learners.ppo_memory --name ppo-memory-kinds",
+    ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
         "base:RandomAgent",

@@ -1,4 +1,4 @@
-"""Train `ppo-memory`: a policy with a memory learns to act like one that is shown what was drawn.
+"""Train a policy with a memory, `ppo-memory`, to act like one that is shown what was drawn.
 
 A policy that has to identify noise, delays and its body from a memory learns slowly from rewards.
 One that is shown what was drawn, such as `ppo-context`, learns fast, and can say in any state what
@@ -9,6 +9,12 @@ aggregation with the latest episodes only).
 
     mmc-gym train studies/learners/ppo-teacher.yml    # 2 minutes
     python -m studies.learners.ppo_memory             # 2.5
+
+`ppo-memory-kinds` is the student of one that was shown perturbations of all six groups:
+
+    mmc-gym train studies/learners/ppo-kinds-teacher.yml
+    python -m studies.learners.ppo_memory --name ppo-memory-kinds \
+        --teacher runs/ppo-kinds-teacher-0/ppo-kinds-teacher-0.json
 
 Sources: Kumar, Fu, Pathak & Malik (2021), RMA: Rapid motor adaptation for legged robots, RSS,
 https://arxiv.org/abs/2107.04034 (a teacher that is shown what was drawn, a student with a memory).
@@ -162,12 +168,18 @@ def teach(
     return network
 
 
-def main(teacher: Path = TEACHER, rounds: int = 66, out: Path = Path("runs/ppo-memory")) -> None:
-    """Train `ppo-memory`.
+def main(
+    teacher: Path = TEACHER,
+    rounds: int = 66,
+    name: str = "ppo-memory",
+    out: Path = Path("runs/ppo-memory"),
+) -> None:
+    """Train a policy with a memory.
 
     Args:
         teacher: Card of the teacher, whose seed is that of the student.
         rounds: Episodes of all arms.
+        name: Of the policy; a group that the teacher was trained without is added.
         out: Folder for the policy.
     """
     torch.set_num_threads(1)
@@ -179,7 +191,7 @@ def main(teacher: Path = TEACHER, rounds: int = 66, out: Path = Path("runs/ppo-m
     _, dash, group = of_teacher.name.partition("-without-")
     card = replace(
         of_teacher,
-        name=f"ppo-memory{dash}{group}",
+        name=f"{name}{dash}{group}",
         hyperparameters={"env_kwargs": env_kwargs, **settings},
         blocks=BLOCKS,
         context=[],
