@@ -25,6 +25,9 @@ except ModuleNotFoundError as error:
 inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 """Compile a function that others in its file call; a loop is no vector if it holds a call to it."""
 
+shared = numba.njit(nogil=True, error_model="numpy")
+"""Compile a long function once, for several places in its file that call it."""
+
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that Python calls, at the first call, and keep the result on disk."""

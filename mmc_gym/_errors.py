@@ -183,6 +183,8 @@ def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArr
 
 def require_batch(name: str, shapes: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
     """Return the shape to which all shapes broadcast."""
+    if len(set(shapes)) == 1:  # to broadcast takes a while
+        return shapes[0]
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError as error:

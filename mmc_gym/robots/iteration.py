@@ -15,9 +15,8 @@ so it has no c_g, and it does not turn the vectors h_a.  Of two axes of a joint,
 where the latter is 0 if i slides.  Near a solution α = D⁻¹ JᵀJ δq, where J has the levers as its
 columns and D is the diagonal of JᵀJ, so the bounds of the damping are the same for all joints.
 
-A block is a record: a task, and `LANES` postures that settle side by side.  Innermost loops run
-over the lanes `k`, so that the processor handles several of them at once.  The shapes of its arrays
-are part of its type, so numba compiles anew for each number of joints and nodes.
+A try is a record, see `records`: a task, and a posture on its way.  The shapes of its arrays are
+part of its type, so numba compiles anew for each number of joints and nodes.
 """
 
 from __future__ import annotations
@@ -26,308 +25,377 @@ from typing import Any
 
 import numpy as np
 
-from mmc_gym._compiling import compiled, inner, sine_cosine
-from mmc_gym.robots.blocks import LANES
+from mmc_gym._compiling import compiled, inner, shared, sine_cosine
 
 _HELD = 1e12  # damping of a joint that rests
+_SETTLED = 1e9  # any posture that has settled comes before all that have not
+_TOGETHER = 4  # tries of which the nearest to a given start wins
 
 
 @compiled
-def settle(blocks: Any, arm: Any, course: Any) -> None:
-    """Iterate each block, in place, until a posture has settled; polish by Newton's method."""
-    for b in range(blocks.shape[0]):
-        block = blocks[b]
-        _begin(block)
-        for time in range(course.iterations + 1):
-            _place(block, arm)
-            _compare(block, course)
-            block.iterations = time
-            if time == 0:
-                is_near = block.merit[0] < course.near
-                block.alone = course.iterations if is_near else course.alone
-            settled = block.settled[0]
-            if course.takes_all:
-                for k in range(LANES):
-                    settled = min(settled, block.settled[k])
-            elif time >= block.alone:
-                for k in range(LANES):
-                    settled = max(settled, block.settled[k])
-            if settled > 0.0 or time == course.iterations:
+def settle_all(tries: Any, arm: Any, course: Any, pace: Any) -> None:
+    """Let each try settle, in place."""
+    for t in range(tries.shape[0]):
+        _settle(tries[t], arm, course, pace)
+
+
+@compiled
+def solve(
+    tasks: Any,
+    starts: Any,
+    has_start: bool,
+    pool: Any,
+    ends: Any,
+    tries: Any,
+    arm: Any,
+    course: Any,
+    race: Any,
+) -> None:
+    """Write the end of the first try to settle for each task, or the nearest of all ends.
+
+    `starts` has a given start for each task, or else a row for all, to which whole turns are
+    nearest.  The first try is from the given start, the others from the pool, those first that lack
+    least.  Of four tries after a given start the nearest to it wins.
+    """
+    this, lacks = tries[0], np.empty(len(pool))
+    for t in range(len(tasks)):
+        end = ends[t]
+        end.rank, end.iterations = np.inf, 0
+        _take(this, tasks[t], starts[t if has_start else 0])
+        for attempt in range(race.starts):
+            pace = race.quick if attempt < race.quick_tries else race.calm
+            if has_start and attempt == 0:
+                _go_to(this, this.start)
+                _begin(this)
+                _see(this, arm, course, pace)
+                pace = race.near if this.merit < race.near_start else race.quick
+            else:
+                if attempt == has_start:
+                    _look(this, pool, lacks, arm, course, pace)
+                nearest = np.argmin(lacks)
+                lacks[nearest] = np.inf
+                _go_to(this, pool[nearest])
+            _settle(this, arm, course, pace)
+            end.iterations += this.iterations
+            if this.rank < end.rank:
+                _keep(end, this)
+            if end.rank < 0.0 and not (has_start and attempt % _TOGETHER):
                 break
-            _estimate(block, arm, course)
-            _move(block, course)
-        if course.is_exact or block.alone == course.iterations:
-            for _ in range(course.newton_steps):
-                _estimate(block, arm, course)
-                _newton(block, arm, course)
-                _place(block, arm)
-                _compare(block, course)
-        if course.turns_back:
-            _turn_back(block, arm)
+        if end.rank >= 0.0 and race.has_both:
+            _go_to(this, end.angle)
+            _settle(this, arm, course, race.place_first)
+            _keep(end, this)
 
 
 @inner
-def _begin(block):
-    """Bring postures within the limits."""
-    for i in range(block.angle.shape[0]):
-        for k in range(LANES):
-            block.free[i, k] = 1.0 * (block.low[i, k] < block.high[i, k])
-            angle = np.maximum(block.angle[i, k], block.low[i, k])
-            block.angle[i, k] = np.minimum(angle, block.high[i, k])
-
-
-@inner
-def _place(block, arm):
-    """Find nodes v_0g and axes u_i of postures by the product of exponentials, see `arm`."""
-    block.shift[:] = 0.0
-    block.turn[:] = 0.0
+def _take(this, task, start):
+    """Take over a task and the posture to which whole turns shall be near."""
+    for i in range(this.low.shape[0]):
+        this.low[i], this.high[i], this.start[i] = task.low[i], task.high[i], start[i]
+    for g in range(this.place.shape[0]):
+        for a in range(3):
+            this.place[g, a] = task.place[g, a]
     for a in range(3):
-        block.turn[a, a, :] = 1.0
+        for f in range(3):
+            this.rotation[a, f] = task.rotation[a, f]
+
+
+@inner
+def _go_to(this, posture):
+    """Begin at rest in a posture."""
+    for i in range(this.angle.shape[0]):
+        this.angle[i], this.velocity[i] = posture[i], 0.0
+
+
+@inner
+def _keep(end, this):
+    """Write where a try has ended."""
+    for i in range(this.angle.shape[0]):
+        end.angle[i] = this.angle[i]
+    end.far, end.turn, end.rank = this.far, this.turn, this.rank
+
+
+@shared
+def _look(this, pool, lacks, arm, course, pace):
+    """Find what each posture of the pool lacks."""
+    for p in range(len(pool)):
+        _go_to(this, pool[p])
+        _begin(this)
+        _see(this, arm, course, pace)
+        lacks[p] = this.merit
+
+
+@shared
+def _settle(this, arm, course, pace):
+    """Iterate until a try is near, polish it by Newton's method, and say where it has ended."""
+    _begin(this)
+    _see(this, arm, course, pace)
+    this.iterations = 0
+    while this.iterations < pace.iterations and not _is_near(
+        this, course.loose_far, course.loose_turn, pace
+    ):
+        _estimate(this, arm, course, pace)
+        _move(this, course, pace)
+        _see(this, arm, course, pace)
+        this.iterations += 1
+    for _ in range(pace.newton_steps):
+        _estimate(this, arm, course, pace)
+        _newton(this, arm, course, pace)
+        _see(this, arm, course, pace)
+    if course.loose_far > 0.0:
+        away = _turn_back(this, arm)
+        is_settled = _is_near(this, course.far, course.turn, pace)
+        this.rank = away - _SETTLED if is_settled else this.merit
+        this.far = np.sqrt(this.miss)
+        this.turn = np.arctan2(np.sqrt(this.sine), this.cosine) if pace.weight > 0.0 else 0.0
+
+
+@inner
+def _begin(this):
+    """Bring a posture within the limits."""
+    for i in range(this.angle.shape[0]):
+        this.free[i] = 1.0 * (this.low[i] < this.high[i])
+        this.angle[i] = min(max(this.angle[i], this.low[i]), this.high[i])
+
+
+@shared
+def _see(this, arm, course, pace):
+    """Find where a posture is, and what is missing."""
+    _place(this, arm)
+    _compare(this, course, pace)
+
+
+@inner
+def _place(this, arm):
+    """Find nodes v_0g and axes u_i of a posture by the product of exponentials, see `arm`."""
+    for a in range(3):
+        this.shift[a] = 0.0
+        for f in range(3):
+            this.moved[a, f] = 1.0 * (a == f)
     for i in range(arm.axes.shape[0]):
         if i == 0 or arm.joint_nodes[i] != arm.joint_nodes[i - 1]:
-            _place_node(block, arm.nodes, arm.joint_nodes[i])
+            _place_node(this, arm.nodes, arm.joint_nodes[i])
         ux, uy, uz = arm.axes[i, 0], arm.axes[i, 1], arm.axes[i, 2]
         px, py, pz = arm.points[i, 0], arm.points[i, 1], arm.points[i, 2]
-        j, ratio, slide = arm.joints[i], arm.turns[i], arm.slides[i]
-        for k in range(LANES):
-            block.sine[k], block.cosine[k] = sine_cosine(ratio * block.angle[j, k])
+        angle = this.angle[arm.joints[i]]
+        s, c = sine_cosine(arm.turns[i] * angle)
+        c = 1.0 - c
         for a in range(3):
-            for k in range(LANES):
-                # A row r of the turn becomes r + sin q r×u + (1 − cos q) (u u·r − r).
-                x, y, z = block.turn[a, 0, k], block.turn[a, 1, k], block.turn[a, 2, k]
-                s, c = block.sine[k], 1.0 - block.cosine[k]
-                along = x * ux + y * uy + z * uz
-                dx = s * (y * uz - z * uy) + c * (along * ux - x)
-                dy = s * (z * ux - x * uz) + c * (along * uy - y)
-                dz = s * (x * uy - y * ux) + c * (along * uz - z)
-                block.axis[i, a, k] = along
-                block.shift[a, k] -= dx * px + dy * py + dz * pz
-                block.shift[a, k] += slide * block.angle[j, k] * along
-                block.turn[a, 0, k] = x + dx
-                block.turn[a, 1, k] = y + dy
-                block.turn[a, 2, k] = z + dz
+            # A row r of the turn becomes r + sin q r×u + (1 − cos q) (u u·r − r).
+            x, y, z = this.moved[a, 0], this.moved[a, 1], this.moved[a, 2]
+            along = x * ux + y * uy + z * uz
+            dx = s * (y * uz - z * uy) + c * (along * ux - x)
+            dy = s * (z * ux - x * uz) + c * (along * uy - y)
+            dz = s * (x * uy - y * ux) + c * (along * uz - z)
+            this.axis[i, a] = along
+            this.shift[a] -= dx * px + dy * py + dz * pz
+            this.shift[a] += arm.slides[i] * angle * along
+            this.moved[a, 0] = x + dx
+            this.moved[a, 1] = y + dy
+            this.moved[a, 2] = z + dz
     last = arm.nodes.shape[0] - 1
     for g in range(min(arm.joint_nodes[-1] + 1, last), last + 1):  # hand and tool
-        _place_node(block, arm.nodes, g)
+        _place_node(this, arm.nodes, g)
 
 
 @inner
-def _place_node(block, home, g):
+def _place_node(this, home, g):
     """Move node g of the zero posture along with what carries it."""
     for a in range(3):
-        for k in range(LANES):
-            x, y, z = block.turn[a, 0, k], block.turn[a, 1, k], block.turn[a, 2, k]
-            moved = x * home[g, 0] + y * home[g, 1] + z * home[g, 2]
-            block.node[g, a, k] = moved + block.shift[a, k]
+        x, y, z = this.moved[a, 0], this.moved[a, 1], this.moved[a, 2]
+        moved = x * home[g, 0] + y * home[g, 1] + z * home[g, 2]
+        this.node[g, a] = moved + this.shift[a]
 
 
 @inner
-def _compare(block, course):
-    """Find what is missing: e_g as `gap`, Σ_a h_a × e_a / 2 s² as `spin`; and who has settled.
+def _compare(this, course, pace):
+    """Find what is missing: e_g as `gap`, and Σ_a h_a × e_a / 2 s² as `spin`.
 
     `miss` is the largest |e_g|², `merit` the sum of all squares; `sine` (squared) and `cosine` are
     those of the angle by which the hand still has to turn, in a direction that of `heading`: the
     unit vector of its axis.
     """
-    block.miss[:] = 0.0
-    block.merit[:] = 0.0
-    block.sine[:] = 0.0
+    miss = merit = sine = 0.0
     ax, ay, az = course.axis[0], course.axis[1], course.axis[2]
-    block.cosine[:] = 0.0 if ax * ax + ay * ay + az * az > 0.0 else -0.5
-    for g in range(1, block.node.shape[0]):
+    cosine = 0.0 if ax * ax + ay * ay + az * az > 0.0 else -0.5
+    for g in range(1, this.node.shape[0]):
         if course.is_placed[g]:
-            for k in range(LANES):
-                x = block.place[g, 0, k] - block.node[g, 0, k]
-                y = block.place[g, 1, k] - block.node[g, 1, k]
-                z = block.place[g, 2, k] - block.node[g, 2, k]
-                square = x * x + y * y + z * z
-                block.gap[g, 0, k] = x
-                block.gap[g, 1, k] = y
-                block.gap[g, 2, k] = z
-                block.miss[k] = np.maximum(block.miss[k], square)
-                block.merit[k] += square
+            x = this.place[g, 0] - this.node[g, 0]
+            y = this.place[g, 1] - this.node[g, 1]
+            z = this.place[g, 2] - this.node[g, 2]
+            square = x * x + y * y + z * z
+            this.gap[g, 0] = x
+            this.gap[g, 1] = y
+            this.gap[g, 2] = z
+            miss = max(miss, square)
+            merit += square
     for a in range(3):
         c, e = (a + 1) % 3, (a + 2) % 3
-        for k in range(LANES):
-            spin = trace = 0.0
-            for f in range(3):
-                trace = trace + block.rotation[a, f, k] * block.turn[a, f, k]
-                spin = spin + block.rotation[e, f, k] * block.turn[c, f, k]
-                spin = spin - block.rotation[c, f, k] * block.turn[e, f, k]
-            block.heading[a, k] = block.turn[a, 0, k] * ax + block.turn[a, 1, k] * ay
-            block.heading[a, k] += block.turn[a, 2, k] * az
-            block.spin[a, k] = 0.5 * spin
-            block.sine[k] += 0.25 * spin * spin
-            block.cosine[k] += 0.5 * trace
-    far, turn = course.far * course.far, np.sin(min(course.turn, np.pi / 2)) ** 2
-    for k in range(LANES):
-        block.merit[k] += 2.0 * course.weight * (1.0 - block.cosine[k])
-        is_turned = (block.sine[k] < turn) * (block.cosine[k] > 0.0) + (course.weight == 0.0)
-        block.settled[k] = 1.0 * (block.miss[k] < far) * is_turned
+        spin = trace = 0.0
+        for f in range(3):
+            trace = trace + this.rotation[a, f] * this.moved[a, f]
+            spin = spin + this.rotation[e, f] * this.moved[c, f]
+            spin = spin - this.rotation[c, f] * this.moved[e, f]
+        this.heading[a] = this.moved[a, 0] * ax + this.moved[a, 1] * ay
+        this.heading[a] += this.moved[a, 2] * az
+        this.spin[a] = 0.5 * spin
+        sine += 0.25 * spin * spin
+        cosine += 0.5 * trace
+    this.miss, this.sine, this.cosine = miss, sine, cosine
+    this.merit = merit + 2.0 * pace.weight * (1.0 - cosine)
 
 
 @inner
-def _estimate(block, arm, course):
+def _is_near(this, far, turn, pace):
+    """Return whether a posture misses by less than two tolerances, of place and of rotation."""
+    if pace.weight > 0.0:
+        sine = np.sin(min(turn, np.pi / 2)) ** 2
+        if this.sine >= sine or this.cosine <= 0.0:
+            return False
+    return this.miss < far * far
+
+
+@shared
+def _estimate(this, arm, course, pace):
     """Find the estimates of the joints, α_j = `pull` / `leverage`."""
-    block.pull[:] = 0.0
-    block.leverage[:] = 1e-9
+    for j in range(this.pull.shape[0]):
+        this.pull[j], this.leverage[j] = 0.0, 1e-9
     for i in range(arm.axes.shape[0]):
         g, j, ratio = arm.joint_nodes[i], arm.joints[i], arm.turns[i]
-        for k in range(LANES):
-            spin = block.axis[i, 0, k] * block.spin[0, k] + block.axis[i, 1, k] * block.spin[1, k]
-            spin = spin + block.axis[i, 2, k] * block.spin[2, k]
-            block.pull[j, k] += course.weight * ratio * spin
-            block.leverage[j, k] += course.weight * ratio * ratio
+        spin = this.axis[i, 0] * this.spin[0] + this.axis[i, 1] * this.spin[1]
+        spin = spin + this.axis[i, 2] * this.spin[2]
+        this.pull[j] += pace.weight * ratio * spin
+        this.leverage[j] += pace.weight * ratio * ratio
         for h in range(g + 1, arm.nodes.shape[0]):
             if course.is_placed[h]:
-                for k in range(LANES):
-                    x, y, z = _lever(block, arm, i, h, k)
-                    along = x * block.gap[h, 0, k] + y * block.gap[h, 1, k] + z * block.gap[h, 2, k]
-                    block.pull[j, k] += along
-                    block.leverage[j, k] += x * x + y * y + z * z
-                    stretch = np.maximum(_stretch(block, i, g, h, k), 0.0)
-                    block.leverage[j, k] += ratio * ratio * stretch
+                x, y, z = _lever(this, arm, i, h)
+                this.pull[j] += x * this.gap[h, 0] + y * this.gap[h, 1] + z * this.gap[h, 2]
+                this.leverage[j] += x * x + y * y + z * z
+                this.leverage[j] += ratio * ratio * max(_stretch(this, i, g, h), 0.0)
         for m in range(i + 1, arm.axes.shape[0]):
             if arm.joints[m] == j:
-                _couple(block, arm, course, i, m)
+                _couple(this, arm, course, pace, i, m)
 
 
 @inner
-def _couple(block, arm, course, i, m):
+def _couple(this, arm, course, pace, i, m):
     """Add to the leverage of a joint what two of its axes have together, i before m."""
     j, ratio = arm.joints[i], arm.turns[i]
     for a in range(3):
-        for k in range(LANES):
-            along = block.axis[i, a, k] * block.axis[m, a, k]
-            block.leverage[j, k] += 2.0 * course.weight * ratio * arm.turns[m] * along
+        along = this.axis[i, a] * this.axis[m, a]
+        this.leverage[j] += 2.0 * pace.weight * ratio * arm.turns[m] * along
     for h in range(arm.joint_nodes[m] + 1, arm.nodes.shape[0]):
         if course.is_placed[h]:
-            for k in range(LANES):
-                x, y, z = _lever(block, arm, i, h, k)
-                u, v, w = _lever(block, arm, m, h, k)
-                block.leverage[j, k] += 2.0 * (x * u + y * v + z * w)
-                ux, uy, uz = block.axis[i, 0, k], block.axis[i, 1, k], block.axis[i, 2, k]
-                bend = (uy * w - uz * v) * block.gap[h, 0, k]
-                bend = bend + (uz * u - ux * w) * block.gap[h, 1, k]
-                bend = bend + (ux * v - uy * u) * block.gap[h, 2, k]
-                block.leverage[j, k] += 2.0 * np.maximum(-ratio * bend, 0.0)
+            x, y, z = _lever(this, arm, i, h)
+            u, v, w = _lever(this, arm, m, h)
+            this.leverage[j] += 2.0 * (x * u + y * v + z * w)
+            ux, uy, uz = this.axis[i, 0], this.axis[i, 1], this.axis[i, 2]
+            bend = (uy * w - uz * v) * this.gap[h, 0]
+            bend = bend + (uz * u - ux * w) * this.gap[h, 1]
+            bend = bend + (ux * v - uy * u) * this.gap[h, 2]
+            this.leverage[j] += 2.0 * max(-ratio * bend, 0.0)
 
 
 @inner
-def _lever(block, arm, i, h, k):
+def _lever(this, arm, i, h):
     """Return l_ih: how fast axis i moves node h, for a displacement of its joint."""
     g, ratio, slide = arm.joint_nodes[i], arm.turns[i], arm.slides[i]
-    x = block.node[h, 0, k] - block.node[g, 0, k]
-    y = block.node[h, 1, k] - block.node[g, 1, k]
-    z = block.node[h, 2, k] - block.node[g, 2, k]
-    ux, uy, uz = block.axis[i, 0, k], block.axis[i, 1, k], block.axis[i, 2, k]
+    x = this.node[h, 0] - this.node[g, 0]
+    y = this.node[h, 1] - this.node[g, 1]
+    z = this.node[h, 2] - this.node[g, 2]
+    ux, uy, uz = this.axis[i, 0], this.axis[i, 1], this.axis[i, 2]
     x, y, z = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
     return ratio * x + slide * ux, ratio * y + slide * uy, ratio * z + slide * uz
 
 
 @inner
-def _along(block, i, k):
+def _along(this, i):
     """Return the product of u_i and the heading."""
-    product = block.axis[i, 0, k] * block.heading[0, k] + block.axis[i, 1, k] * block.heading[1, k]
-    return product + block.axis[i, 2, k] * block.heading[2, k]
+    product = this.axis[i, 0] * this.heading[0] + this.axis[i, 1] * this.heading[1]
+    return product + this.axis[i, 2] * this.heading[2]
 
 
 @inner
-def _stretch(block, i, g, h, k):
+def _stretch(this, i, g, h):
     """Return v_gh · e_h, both across the axis of hinge i."""
     product = along = missing = 0.0
     for a in range(3):
-        v = block.node[h, a, k] - block.node[g, a, k]
-        product = product + v * block.gap[h, a, k]
-        along = along + v * block.axis[i, a, k]
-        missing = missing + block.gap[h, a, k] * block.axis[i, a, k]
+        v = this.node[h, a] - this.node[g, a]
+        product = product + v * this.gap[h, a]
+        along = along + v * this.axis[i, a]
+        missing = missing + this.gap[h, a] * this.axis[i, a]
     return product - along * missing
 
 
 @inner
-def _move(block, course):
+def _move(this, course, pace):
     """Do v ← α/d + decay·v and q ← nearest posture within the limits to q + v.
 
     Where v opposes the estimates, Σ_i pull_i v_i < 0, it forgets its past: decay counts as 0.
     A joint that a limit stops has no velocity.
     """
-    joints = block.angle.shape[0]
-    block.memory[:] = 0.0
-    for i in range(joints):
-        for k in range(LANES):
-            block.memory[k] += block.pull[i, k] * block.velocity[i, k]
-    for k in range(LANES):
-        block.memory[k] = course.decay * (block.memory[k] >= 0.0)
-    for i in range(joints):
-        for k in range(LANES):
-            step = course.share * block.pull[i, k] / block.leverage[i, k]
-            step = step + block.memory[k] * block.velocity[i, k]
-            free = block.angle[i, k] + step
-            angle = np.minimum(np.maximum(free, block.low[i, k]), block.high[i, k])
-            block.velocity[i, k] = step * (angle == free)
-            block.angle[i, k] = angle
+    memory = 0.0
+    for i in range(this.angle.shape[0]):
+        memory += this.pull[i] * this.velocity[i]
+    decay = course.decay if memory >= 0.0 else 0.0
+    for i in range(this.angle.shape[0]):
+        step = pace.share * this.pull[i] / this.leverage[i]
+        step = step + decay * this.velocity[i]
+        free = this.angle[i] + step
+        this.angle[i] = min(max(free, this.low[i]), this.high[i])
+        this.velocity[i] = step if this.angle[i] == free else 0.0
 
 
 @inner
-def _newton(block, arm, course):
+def _newton(this, arm, course, pace):
     """Do a damped step of Newton's method; joints that it brings to a limit rest in the next.
 
     With e, what is missing, and the levers J of the joints it solves (JᵀJ + λ I) Δq = Jᵀe, where
     λ = |e|² or more (Levenberg), by Gauss-Jordan elimination.
     """
-    joints, axes = block.angle.shape[0], arm.axes.shape[0]
-    block.row[:] = 0.0
+    joints, axes = this.angle.shape[0], arm.axes.shape[0]
+    for i in range(joints):
+        for j in range(joints):
+            this.row[i, j] = 0.0
     for i in range(axes):
         for m in range(axes):
-            p, r, weight = arm.joints[i], arm.joints[m], course.weight * arm.turns[i] * arm.turns[m]
+            p, r, weight = arm.joints[i], arm.joints[m], pace.weight * arm.turns[i] * arm.turns[m]
             for a in range(3):
-                for k in range(LANES):
-                    block.row[p, r, k] += weight * (block.axis[i, a, k] * block.axis[m, a, k])
-            for k in range(LANES):  # a direction is one vector, which hinges along it do not move
-                along = _along(block, i, k) * _along(block, m, k)
-                block.row[p, r, k] -= weight * along
+                this.row[p, r] += weight * (this.axis[i, a] * this.axis[m, a])
+            # A direction is one vector, which hinges along it do not move.
+            this.row[p, r] -= weight * (_along(this, i) * _along(this, m))
             for h in range(max(arm.joint_nodes[i], arm.joint_nodes[m]) + 1, arm.nodes.shape[0]):
                 if course.is_placed[h]:
-                    for k in range(LANES):
-                        x, y, z = _lever(block, arm, i, h, k)
-                        u, v, w = _lever(block, arm, m, h, k)
-                        block.row[p, r, k] += x * u + y * v + z * w
+                    x, y, z = _lever(this, arm, i, h)
+                    u, v, w = _lever(this, arm, m, h)
+                    this.row[p, r] += x * u + y * v + z * w
     for i in range(joints):
-        for k in range(LANES):
-            damping = block.merit[k] + course.ridge + _HELD * (1.0 - block.free[i, k])
-            block.row[i, i, k] += damping
-            block.row[i, joints, k] = block.pull[i, k] * block.free[i, k]
+        this.row[i, i] += this.merit + course.ridge + _HELD * (1.0 - this.free[i])
+        this.row[i, joints] = this.pull[i] * this.free[i]
     for p in range(joints):
         for i in range(joints):
             if i != p:
-                for k in range(LANES):
-                    block.memory[k] = block.row[i, p, k] / block.row[p, p, k]
+                factor = this.row[i, p] / this.row[p, p]
                 for j in range(p, joints + 1):
-                    for k in range(LANES):
-                        block.row[i, j, k] -= block.memory[k] * block.row[p, j, k]
+                    this.row[i, j] -= factor * this.row[p, j]
     for i in range(joints):
-        for k in range(LANES):
-            free = block.angle[i, k] + block.row[i, joints, k] / block.row[i, i, k]
-            angle = np.minimum(np.maximum(free, block.low[i, k]), block.high[i, k])
-            block.free[i, k] = (block.low[i, k] < block.high[i, k]) * (angle == free)
-            block.angle[i, k] = angle
+        free = this.angle[i] + this.row[i, joints] / this.row[i, i]
+        this.angle[i] = min(max(free, this.low[i]), this.high[i])
+        this.free[i] = 1.0 * (this.low[i] < this.high[i] and this.angle[i] == free)
 
 
 @inner
-def _turn_back(block, arm):
-    """Turn joints by whole turns, as near to `start` as limits allow; find |q − start|², `away`.
+def _turn_back(this, arm):
+    """Turn joints by whole turns, as near to `start` as limits allow; return |q − start|².
 
     Of slides, and of joints that turn an axis by a part of a turn meanwhile, there are none.
     """
-    turn = 2.0 * np.pi
-    block.away[:] = 0.0
-    for i in range(block.angle.shape[0]):
-        for k in range(LANES):
-            low, high, angle = block.low[i, k], block.high[i, k], block.angle[i, k]
-            count = np.floor((block.start[i, k] - angle) / turn + 0.5)
-            count = np.minimum(count, np.floor((high - angle) / turn))
-            count = np.maximum(count, np.ceil((low - angle) / turn))
-            count = count * arm.has_turns[i]
-            angle = np.minimum(np.maximum(angle + turn * count, low), high)
-            block.angle[i, k] = angle
-            block.away[k] += (angle - block.start[i, k]) ** 2
+    turn, away = 2.0 * np.pi, 0.0
+    for i in range(this.angle.shape[0]):
+        low, high, angle = this.low[i], this.high[i], this.angle[i]
+        count = np.floor((this.start[i] - angle) / turn + 0.5)
+        count = min(count, np.floor((high - angle) / turn))
+        count = max(count, np.ceil((low - angle) / turn)) * arm.has_turns[i]
+        this.angle[i] = min(max(angle + turn * count, low), high)
+        away += (this.angle[i] - this.start[i]) ** 2
+    return away

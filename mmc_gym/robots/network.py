@@ -47,7 +47,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from types import ModuleType
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,15 +69,25 @@ from mmc_gym._errors import (
 )
 from mmc_gym.geometry import Floats
 from mmc_gym.robots.arm import HingeArm, nearest_rotations, require_poses
-from mmc_gym.robots.blocks import LANES, Course, ZeroPosture, block_type, task_type
+from mmc_gym.robots.records import (
+    Course,
+    Pace,
+    Race,
+    Tolerance,
+    ZeroPosture,
+    end_type,
+    task_type,
+    try_type,
+)
 
 Records = NDArray[np.void]
 Axis = Literal["x", "y", "z"]
 HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
 POOL = 128  # postures, of which the nearest to a task are its starts
-ALONE = 30  # iterations in which only the given start may win
-NEAR_START = 0.3  # miss of a start that has all of them, shares of the arm's length
+NEAR_START = 0.3  # miss of a start that has all iterations, shares of the arm's length
+QUICK_TRIES = 16  # from the pool, with little damping
+QUICK_ITERATIONS = 80  # of each at most, if there are more starts
 LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
 LOOSE_SHARE = 5e-4  # that of position for arms of more than 2 m, shares of their length
 NEWTON_STEPS = 6
@@ -87,9 +98,8 @@ PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of toler
 PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
 _NO_START = "without prefer or solutions, where all starts settle"
-_CHUNK = 64  # tasks in memory at once
+_ENDLESS = Tolerance(0.0, 0.0, 0.0, 0.0, 0.0)  # of what does not stop
 _SINGLE = float(np.finfo(np.float32).eps)
-_SETTLED = 1e9  # any posture that has settled comes before all that have not
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +114,7 @@ class HingeState:
 class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    tasks: Records  #: the limits and places, an array (...) of `blocks.task_type`
+    tasks: Records  #: the limits and places, an array (...) of `records.task_type`
     is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,), or one more with a tool
     has_rotation: bool  #: whether the hand's rotation, or a direction of it, is held
     free_joints: int  #: number of joints that are not held
@@ -119,7 +129,7 @@ class HingeSolution:
     joint_angles: Floats  #: (..., n), within the limits
     position_error: Floats  #: largest distance of a held node, the hand too, from its place, m
     rotation_error: Floats  #: angle between the hand's rotation and the wanted one, radians
-    iterations: NDArray[np.int64]  #: iterations until it settled; up to 16 starts iterate together
+    iterations: NDArray[np.int64]  #: iterations until it settled, those of all starts
     is_solved: NDArray[np.bool_]  #: whether both errors are within the tolerance
 
     def __str__(self) -> str:
@@ -220,7 +230,11 @@ class HingeNetwork:
             is_alone = position is None and rotation is None and direction is None
             require(is_alone, "pose", pose, "without position, rotation or direction beside it")
             poses = require_poses("pose", pose)
-            position, rotation = poses[..., :3, 3], poses[..., :3, :3]
+            place: Floats | None = poses[..., :3, 3]
+            rotations: Floats | None = poses[..., :3, :3]
+        else:
+            place = None if position is None else _floats("position", position, (3,))
+            rotations = None if rotation is None else _rotations(rotation)
         require(rotation is None or direction is None, "direction", direction, "without rotation")
         require_choice("axis", axis, get_args(Axis))
         zero_posture, home = self._zero_posture, arm.home
@@ -229,12 +243,12 @@ class HingeNetwork:
             nodes = np.vstack([zero_posture.nodes, home[:3, 3]])
             zero_posture = zero_posture._replace(nodes=nodes)
         last = len(zero_posture.nodes) - 1
-        if position is not None:
-            places[last] = _floats("position", position, (3,))
+        if place is not None:
+            places[last] = place
         turn: Floats = np.zeros((3, 3))  # of the whole arm in its zero posture
         held_axis: Floats = np.zeros(3)
-        if rotation is not None:
-            turn = _rotations(rotation) @ home[:3, :3].T
+        if rotations is not None:
+            turn = rotations @ home[:3, :3].T
         if direction is not None:
             aim = _floats("direction", direction, (3,))
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
@@ -264,7 +278,7 @@ class HingeNetwork:
             tasks["place"][..., node, :] = place
         is_placed = np.zeros(last + 1, np.bool_)
         is_placed[list(places)] = True
-        has_rotation = rotation is not None or direction is not None
+        has_rotation = rotations is not None or direction is not None
         free = max(1, arm.joint_count - len(held))
         return HingeClamps(tasks, is_placed, has_rotation, free, zero_posture, held_axis)
 
@@ -275,22 +289,12 @@ class HingeNetwork:
         """
         require_whole("iterations", iterations, least=0)
         batch = require_batch("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
-        tasks, n = np.broadcast_to(clamps.tasks, batch).reshape(-1), self.arm.joint_count
-        count = -(-len(tasks) // LANES)
-        # The first ones fill the last block.
-        rows = np.resize(np.arange(len(tasks)), (count, LANES))
-        blocks = self._blocks(tasks[rows])
-
-        def in_lanes(values: Floats) -> Floats:
-            return np.swapaxes(np.broadcast_to(values, (*batch, n)).reshape(-1, n)[rows], 1, 2)
-
-        def in_rows(values: Floats) -> Floats:
-            return np.swapaxes(values, 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
-
-        blocks["angle"] = in_lanes(state.joint_angles)
-        blocks["velocity"] = in_lanes(state.joint_velocities)
-        _settle(blocks, clamps.arm, self._course(clamps, iterations))
-        return HingeState(in_rows(blocks["angle"]), in_rows(blocks["velocity"]))
+        tries = self._tries(np.broadcast_to(clamps.tasks, batch))
+        tries["angle"], tries["velocity"] = state.joint_angles, state.joint_velocities
+        pace = self._pace(clamps.free_joints, clamps.has_rotation, iterations)
+        course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *_ENDLESS)
+        _compiled().settle_all(tries.reshape(-1), clamps.arm, course, pace)
+        return HingeState(tries["angle"].copy(), tries["velocity"].copy())
 
     def solve(
         self,
@@ -313,8 +317,8 @@ class HingeNetwork:
     ) -> HingeSolution:
         """Return where the network settles, from many starts.
 
-        The starts are postures drawn within the limits, those nearest to the task first; 16 settle
-        together, and the first to settle wins.  Where none does, the best is returned: places, the
+        The starts are postures drawn within the limits, those nearest to the task first, and the
+        first to settle wins.  Where none does, the best is returned: places, the
         hand's too, as near as can be, and its rotation as near as they leave it.  For tolerances
         below 1 mm or 0.01 rad, from a near `start` and in later starts, steps of Newton's method
         follow.
@@ -323,8 +327,8 @@ class HingeNetwork:
             position: see `clamp`, as `rotation`, `held` and `points`.
             rotation: of the hand.
             start: postures (..., n) to begin with.  Other starts win only where nothing settles
-                from there in 30 iterations, or in all `iterations` where the start is near: it
-                misses by less than 0.3 of the arm.  Of the others the nearest to it wins.  Joints
+                from there in 80 iterations, or in all `iterations` where the start is near: it
+                misses by less than 0.3 of the arm.  Of four others the nearest to it wins.  Joints
                 never turn by a whole turn more than limits require: seen from `start`, or without
                 one from the middle of their limits, which is 0 without limits.
             held: angles of joints that do not move.
@@ -361,181 +365,60 @@ class HingeNetwork:
         far, turn = require_numbers("tolerance", tolerance, accepted, _are_tolerances)
         require(start is None or (prefer is None and solutions is None), "start", start, _NO_START)
         tasks, name = clamps.tasks, "start" if prefer is None else "prefer"
-        reference = start if prefer is None else prefer
-        first = None
+        reference, n = start if prefer is None else prefer, self.arm.joint_count
+        near = self._middle
         if reference is not None:
-            first = _floats(name, reference, (self.arm.joint_count,))
-            batch = require_batch(name, [tasks.shape, first.shape[:-1]])
-            first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
-            tasks = np.broadcast_to(tasks, batch)
-        if not (clamps.is_placed.any() or clamps.has_rotation or held):
+            near = _floats(name, reference, (n,))
+            batch = require_batch(name, [tasks.shape, near.shape[:-1]])
+            if not tasks.shape == near.shape[:-1] == batch:
+                near, tasks = np.broadcast_to(near, (*batch, n)), np.broadcast_to(tasks, batch)
+        has_place = bool(clamps.is_placed.any())
+        if not (has_place or clamps.has_rotation or held):
             accepted = "a position, a rotation, a pose, a direction, points or held"
             raise UserError(f"solve must be given a task: {accepted}")
-        loose = max(LOOSE[0], LOOSE_SHARE * self._length)
-        course = self._course(
-            clamps,
-            iterations,
-            far=max(far, loose),
-            turn=max(turn, LOOSE[1]),
-            turns_back=True,
-            newton_steps=NEWTON_STEPS,
-            is_exact=far < loose or turn < LOOSE[1],
-            ridge=(RIDGE * far) ** 2,
-        )
-        # Those that are left are hard, such as postures with all joints at limits.
-        calm = course._replace(
-            share=self._calm_share(clamps), newton_steps=2 * NEWTON_STEPS, is_exact=True
-        )
-        pool = _pool(self.arm, max(starts, POOL), seed)
-        has_both = clamps.has_rotation and bool(clamps.is_placed.any())
-        race = _Race(clamps.arm, course, calm, far, turn, pool, starts, has_both)
-        batch, tasks = tasks.shape, tasks.reshape(-1)
         count = 1 if solutions is None else require_whole("solutions", solutions, most=starts)
-        takes_all = prefer is not None or solutions is not None
-        ends = np.empty((len(tasks), count), self._end_type)
-        for least in range(0, len(tasks), _CHUNK):
-            rows = slice(least, least + _CHUNK)
-            of_rows = None if first is None else first[rows]
-            if takes_all:
-                ends[rows] = self._nearest(race, tasks[rows], of_rows, count)
-            else:
-                ends[rows, 0] = self._best(race, tasks[rows], of_rows)
+        kind = clamps.free_joints, clamps.has_rotation, has_place
+        bounds, race = _race(self, *kind, (far, turn), iterations, starts)
+        course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *bounds)
+        pool, batch = _pool(self.arm, max(starts, POOL), seed), tasks.shape
+        tasks, near = tasks.flatten(), near.reshape(-1, n).copy()
+        ends = np.empty((len(tasks), count), end_type(n))
+        if prefer is not None or solutions is not None:
+            near = np.broadcast_to(near, (len(tasks), n))
+            for row, task in enumerate(tasks):
+                tries = self._tries(np.broadcast_to(task, starts))
+                tries["angle"], tries["start"] = pool[:starts], near[row]
+                tries["angle"][0] = near[row]
+                ends[row] = _nearest(tries, clamps.arm, course, race, count)
+        else:
+            tries, has_start = np.empty(1, self._try_type(tasks)), start is not None
+            shared = tries, clamps.arm, course, race
+            _compiled().solve(tasks, near, has_start, pool, ends[:, 0], *shared)
         ends = ends.reshape(batch if solutions is None else (*batch, count))
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
 
-    def _best(self, race: _Race, tasks: Records, start: Floats | None) -> Records:
-        """Return the best posture for each task: the first to settle, or else the nearest."""
-        ends = np.zeros(len(tasks), self._end_type)
-        ends["rank"] = np.inf
-        rows, blocks, order = np.arange(len(tasks)), self._blocks(tasks), None
-        for begin in range(0, race.starts, LANES):
-            lanes = begin + np.arange(LANES) % (race.starts - begin)  # few starts fill all lanes
-            course = race.course if begin == 0 else race.calm
-            if start is not None and begin == 0:
-                postures = np.where((lanes == 0)[:, None], start[:, None], race.pool[lanes])
-                course = course._replace(alone=ALONE, near=(NEAR_START * self._length) ** 2)
-            else:
-                order = self._order(blocks, race) if order is None else order
-                postures = race.pool[order[:, lanes - LANES * (start is not None)]]
-            blocks["angle"], blocks["velocity"] = np.swapaxes(postures, 1, 2), 0.0
-            blocks["start"] = (self._middle if start is None else start[rows])[..., None]
-            _settle(blocks, race.arm, course)
+    def _try_type(self, tasks: Records) -> np.dtype[np.void]:
+        nodes = tasks.dtype["place"].shape[0]
+        return try_type(self.arm.joint_count, nodes, len(self.arm.axes))
 
-            away = None
-            if start is not None:
-                away = blocks["away"].copy()
-                away[:, 0] *= begin > 0  # what settles from there wins
-            new_ends = self._ends(race, blocks, away)
-            new_ends["iterations"] += ends["iterations"][rows]
-            is_better = new_ends["rank"] < ends["rank"][rows]
-            ends["iterations"][rows] = new_ends["iterations"]
-            ends[rows[is_better]] = new_ends[is_better]
-            left = ends["rank"][rows] >= 0
-            rows, blocks = rows[left], blocks[left]
-            order = None if order is None else order[left]
-            if not len(rows):
-                return ends
-        if race.has_both:
-            blocks["angle"][:, :, 0] = ends["angle"][rows]
-            ends[rows] = self._place_first(race, blocks, ends["iterations"][rows])
-        return ends
-
-    def _place_first(self, race: _Race, blocks: Records, iterations: NDArray[np.int64]) -> Records:
-        """Return the best postures of blocks that have not settled, places before rotation.
-
-        So little weight of the rotation costs a share of the tolerance of places at most.
-        """
-        weight = min(PLACE_FIRST * race.far * self._length, race.calm.weight)
-        course = race.calm._replace(weight=weight, iterations=0, newton_steps=PLACE_STEPS)
-        _settle(blocks, race.arm, course)
-        ends = self._ends(race, blocks, None)
-        ends["iterations"] = iterations
-        return ends
-
-    def _nearest(self, race: _Race, tasks: Records, near: Floats | None, count: int) -> Records:
-        """Return the solutions nearest to `near`, or to the middle, (tasks, count)."""
-        near = np.tile(self._middle, (len(tasks), 1)) if near is None else near
-        lanes = np.arange(-(-race.starts // LANES) * LANES) % race.starts
-        parts = len(lanes) // LANES
-        blocks = np.repeat(self._blocks(tasks), parts)
-        postures = np.where((lanes == 0)[:, None], near[:, None], race.pool[lanes])
-        postures = postures.reshape(-1, LANES, self.arm.joint_count)
-        blocks["angle"] = np.swapaxes(postures, 1, 2)
-        blocks["start"] = np.repeat(near, parts, axis=0)[..., None]
-        _settle(blocks, race.arm, race.calm._replace(takes_all=True))
-        all_ends = self._lanes(race, blocks, blocks["away"]).reshape(len(tasks), -1)
-        nearest = np.zeros((len(tasks), count), self._end_type)
-        for name in ("angle", "far", "turn"):
-            nearest[name] = np.nan
-        all_ends.sort(axis=1, order="rank", kind="stable")
-        for row, ends in zip(nearest, all_ends):
-            row[0], size = ends[0], 1
-            for end in ends[ends["rank"] < 0]:
-                if size == count:
-                    break
-                gap = np.abs(row["angle"][:size] - end["angle"])
-                turned = np.minimum(gap, np.abs(gap - 2 * np.pi))
-                if np.where(race.arm.has_turns, turned, gap).max(axis=1).min() > DISTINCT:
-                    row[size] = end
-                    size += 1
-        left = nearest["rank"][:, 0] >= 0
-        if race.has_both and left.any():
-            blocks = blocks[::parts][left]
-            blocks["angle"] = np.swapaxes(all_ends["angle"][left, :LANES], 1, 2)
-            nearest[left, 0] = self._place_first(race, blocks, nearest["iterations"][left, 0])
-        return nearest
-
-    def _ends(self, race: _Race, blocks: Records, away: Floats | None) -> Records:
-        """Return the best posture of each block: of those that have settled the least `away`."""
-        ends = self._lanes(race, blocks, blocks["merit"] if away is None else away)
-        best: Records = ends[np.arange(len(blocks)), ends["rank"].argmin(axis=1)]
-        return best
-
-    def _lanes(self, race: _Race, blocks: Records, away: Floats) -> Records:
-        """Return where all postures of blocks have ended, (blocks, lanes)."""
-        far, turn = np.sqrt(blocks["miss"]), np.zeros_like(blocks["miss"])
-        if race.course.weight:
-            turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
-        is_settled = (far < race.far) & (turn < race.turn)
-        rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
-        ends = np.empty(rank.shape, self._end_type)
-        ends["angle"] = np.swapaxes(blocks["angle"], 1, 2)
-        ends["iterations"] = blocks["iterations"][:, None]
-        for name, values in (("far", far), ("turn", turn), ("rank", rank)):
-            ends[name] = values
-        return ends
-
-    def _order(self, blocks: Records, race: _Race) -> NDArray[np.intp]:
-        """Return the order of a pool for each task, those first that lack least, (batch, size)."""
-        parts, pool = len(race.pool) // LANES, race.pool
-        tried = np.repeat(blocks, parts)
-        postures = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
-        tried["angle"] = np.tile(postures, (len(blocks), 1, 1))
-        course = race.course._replace(iterations=0, newton_steps=0, turns_back=False)
-        _settle(tried, race.arm, course)
-        return np.argsort(tried["merit"].reshape(len(blocks), -1), axis=1)
-
-    def _blocks(self, tasks: Records) -> Records:
-        """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
-        sizes = self.arm.joint_count, tasks.dtype["place"].shape[0], len(self.arm.axes)
-        blocks = np.zeros(len(tasks), block_type(*sizes))
+    def _tries(self, tasks: Records) -> Records:
+        """Return tries at rest for tasks (...)."""
+        tries = np.zeros(tasks.shape, self._try_type(tasks))
         for name in tasks.dtype.names or ():
-            values = tasks[name]
-            blocks[name] = np.moveaxis(values, 1, -1) if tasks.ndim == 2 else values[..., None]
-        return blocks
+            tries[name] = tasks[name]
+        return tries
 
-    def _course(self, clamps: HingeClamps, iterations: int, **more: Any) -> Course:
-        """Return the course of `run`, or with `more` that of `solve`."""
-        is_calm = self.damping or clamps.free_joints <= FEW
-        share = self._calm_share(clamps) if is_calm else 3 / clamps.free_joints
-        weight = 2 * (self.hand_size * self._length) ** 2 if clamps.has_rotation else 0.0
-        decay = float(self.velocity_decay)
-        return Course(clamps.is_placed, clamps.axis, weight, share, decay, iterations, **more)
+    def _pace(self, free_joints: int, has_rotation: bool, iterations: int) -> Pace:
+        """Return the pace of `run` and of the first starts."""
+        is_calm = self.damping or free_joints <= FEW
+        share = self._calm_share(free_joints) if is_calm else 3 / free_joints
+        weight = 2 * (self.hand_size * self._length) ** 2 if has_rotation else 0.0
+        return Pace(share, weight, iterations, newton_steps=0)
 
-    def _calm_share(self, clamps: HingeClamps) -> float:
+    def _calm_share(self, free_joints: int) -> float:
         """Return 1/d for starts after the first ones have failed."""
-        return 1 / (self.damping or CALM * clamps.free_joints)
+        return 1 / (self.damping or CALM * free_joints)
 
     @cached_property
     def _length(self) -> float:
@@ -554,44 +437,77 @@ class HingeNetwork:
         return middle
 
     @cached_property
-    def _end_type(self) -> np.dtype[np.void]:
-        numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
-        angle = ("angle", np.float64, (self.arm.joint_count,))
-        return np.dtype([angle, *numbers, ("iterations", np.int64)])
-
-    @cached_property
     def _zero_posture(self) -> ZeroPosture:
         return ZeroPosture.of(self.arm)
 
 
-class _Race(NamedTuple):
-    """How `HingeNetwork.solve` lets starts settle."""
+def _compiled() -> ModuleType:
+    from mmc_gym.robots import iteration
 
-    arm: ZeroPosture
-    course: Course  #: of the first block of starts
-    calm: Course  #: of those that follow
-    far: float  #: tolerance of held nodes, m
-    turn: float  #: tolerance of the hand's rotation, radians
-    pool: Floats  #: postures to start from, (size, n)
-    starts: int  #: at most
-    has_both: bool  #: whether places and rotation are held
-
-
-def _settle(blocks: Records, arm: ZeroPosture, course: Course) -> None:
-    from mmc_gym.robots.iteration import settle
-
-    settle(blocks, arm, course)
+    return iteration
 
 
 @lru_cache(maxsize=16)
-def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
-    """Return at least so many postures within the limits, whole blocks, (size, n)."""
-    size = -(-least // LANES) * LANES
+def _race(
+    network: HingeNetwork,
+    free_joints: int,
+    has_rotation: bool,
+    has_place: bool,
+    tolerance: tuple[float, float],
+    iterations: int,
+    starts: int,
+) -> tuple[Tolerance, Race]:
+    """Return when tries are near, and how they follow each other."""
+    (far, turn), length = tolerance, network._length
+    loose = max(LOOSE[0], LOOSE_SHARE * length)
+    bounds = Tolerance(far, turn, max(far, loose), max(turn, LOOSE[1]), (RIDGE * far) ** 2)
+    plain = network._pace(free_joints, has_rotation, iterations)
+    near = plain._replace(newton_steps=NEWTON_STEPS)
+    is_exact = far < loose or turn < LOOSE[1]
+    # A single start, such as that of an agent's step, has them all.
+    few = min(iterations, QUICK_ITERATIONS) if starts > 1 else iterations
+    quick = (near if is_exact else plain)._replace(iterations=few)
+    # Those that are left are hard, such as postures with all joints at limits.
+    share = network._calm_share(free_joints)
+    calm = plain._replace(share=share, newton_steps=2 * NEWTON_STEPS)
+    # So little weight of the rotation costs a share of the tolerance of places at most.
+    weight = min(PLACE_FIRST * far * length, plain.weight)
+    place_first = Pace(0.0, weight, iterations=0, newton_steps=PLACE_STEPS)
+    paces, near_start = (near, quick, calm, place_first), (NEAR_START * length) ** 2
+    return bounds, Race(*paces, near_start, QUICK_TRIES, starts, has_rotation and has_place)
+
+
+@lru_cache(maxsize=16)
+def _pool(arm: HingeArm, size: int, seed: int) -> Floats:
+    """Return postures within the limits, (size, n)."""
     random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
     low, high = arm.limits.T
     low = np.where(np.isinf(low), np.minimum(-np.pi, high - 2 * np.pi), low)
     high = np.where(np.isinf(high), np.maximum(np.pi, low + 2 * np.pi), high)
     return random.uniform(low, high, (size, arm.joint_count))
+
+
+def _nearest(tries: Records, arm: ZeroPosture, course: Course, race: Race, count: int) -> Records:
+    """Let all tries of a task settle; return those that differ, nearest to its start, (count,)."""
+    _compiled().settle_all(tries, arm, course, race.calm)
+    kind = end_type(tries["angle"].shape[1])
+    nearest = np.zeros(count, kind)
+    for name in ("angle", "far", "turn"):
+        nearest[name] = np.nan
+    tries = tries[np.argsort(tries["rank"], kind="stable")]
+    if tries["rank"][0] >= 0 and race.has_both:
+        _compiled().settle_all(tries[:1], arm, course, race.place_first)
+    ends = tries[list(kind.names or ())]
+    nearest[0], size = ends[0], 1
+    for end in ends[ends["rank"] < 0]:
+        if size == count:
+            break
+        gap = np.abs(nearest["angle"][:size] - end["angle"])
+        turned = np.minimum(gap, np.abs(gap - 2 * np.pi))
+        if np.where(arm.has_turns, turned, gap).max(axis=1).min() > DISTINCT:
+            nearest[size] = end
+            size += 1
+    return nearest
 
 
 def _are_tolerances(bounds: tuple[float, ...]) -> bool:
