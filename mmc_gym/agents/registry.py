@@ -187,7 +187,8 @@ AGENTS: dict[str, AgentEntry] = {
         "as ppo-memory, taught under motors and senses that fail, too",
         3,
         memory=68,
-        command="python -m studies.learners.ppo_memory --name ppo-memory-kinds",
+        command="python -m studies.learners.ppo_memory --name ppo-memory-kinds "
+        "--teacher runs/ppo-kinds-teacher-0/ppo-kinds-teacher-0.json",
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",

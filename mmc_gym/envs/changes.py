@@ -87,7 +87,7 @@ class Walk:
 
     @property
     def direction(self) -> Direction | None:
-        """Where a saw is heading at first: a second number, which the strength needs."""
+        """The second number of a saw, which says where it is heading; None of other walks."""
         is_saw = self.kind == "saw"
         return Direction(self.low, self.high, math.copysign(1, self.step)) if is_saw else None
 
@@ -110,11 +110,11 @@ class Walk:
 
 @dataclass(frozen=True)
 class Direction:
-    """Where a saw is heading: upward (1) or downward (-1)."""
+    """The number that says where a saw is heading: upward (1) or downward (-1)."""
 
-    low: float  #: strength from which it heads upward, and downward from the other
-    high: float
-    first: float
+    low: float  #: strength at which it turns upward
+    high: float  #: strength at which it turns downward
+    first: float  #: direction of the first episode
 
     def support(self) -> tuple[float, float]:
         """Return the least and the greatest direction."""
@@ -149,7 +149,7 @@ class InUnits:
 
     @property
     def direction(self) -> Direction | None:
-        """As of `Walk`, whose factor is positive."""
+        """As of `Walk`, between ends in these units."""
         direction = getattr(self.distribution, "direction", None)
         return direction and Direction(*self.support(), direction.first)
 

@@ -256,12 +256,12 @@ class Episodes:
         context: Floats | None,
         before: Floats | None = None,
     ) -> Floats:
-        """Return the numbers, (k, m), that k generators draw, with those of a context in place."""
+        """Return the numbers, (k, m), that k generators draw; those of a context replace them."""
         numbers = self.numbers(uniform_numbers(randoms, len(self.strengths)), before)
         return numbers if context is None else np.where(np.isnan(context), numbers, context)
 
     def is_like(self, other: Episodes) -> bool:
-        """Return whether both draw the same numbers, if from other distributions.
+        """Return whether both draw numbers of the same names, perhaps from other distributions.
 
         Numbers that are not drawn must be equal.
         """
@@ -450,7 +450,7 @@ def _fixed(numbers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _strength_in(drawn: Change, change: Change) -> Any:
-    """Return the strength of `change` as one of the family of `drawn`; None if it is of another."""
+    """Return which strength in the family of `drawn` is the same as `change`; None if none is."""
     settings, drawn_settings = dict(change.settings), dict(drawn.settings)
     is_other = settings.keys() != drawn_settings.keys()
     if is_other or not _fixed(drawn_settings).items() <= settings.items():

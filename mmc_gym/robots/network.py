@@ -318,10 +318,9 @@ class HingeNetwork:
         """Return where the network settles, from many starts.
 
         The starts are postures drawn within the limits, those nearest to the task first, and the
-        first to settle wins.  Where none does, the best is returned: places, the
-        hand's too, as near as can be, and its rotation as near as they leave it.  For tolerances
-        below 1 mm or 0.01 rad, from a near `start` and in later starts, steps of Newton's method
-        follow.
+        first to settle wins.  Where none does, the best is returned: places, the hand's too, as
+        near as can be, and its rotation as near as they leave it.  For tolerances below 1 mm or
+        0.01 rad, from a near `start` and in later starts, steps of Newton's method follow.
 
         Args:
             position: see `clamp`, as `rotation`, `held` and `points`.

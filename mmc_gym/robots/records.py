@@ -97,7 +97,7 @@ def task_type(joints: int, nodes: int) -> np.dtype[np.void]:
 
 @lru_cache
 def end_type(joints: int) -> np.dtype[np.void]:
-    """Return the type of where tries have ended; the `rank` of what has settled is negative."""
+    """Return the type of a record of where a try ended; `rank` is negative if it has settled."""
     numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
     return np.dtype([("angle", np.float64, (joints,)), *numbers, ("iterations", np.int64)])
 
