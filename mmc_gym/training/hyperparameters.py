@@ -7,7 +7,8 @@ constructor (see `mmc_gym.agents.policy.ALGORITHMS`), and
     n_envs            number of environments
     env_kwargs        arguments of the environment
     perturbations     one of them: what is drawn for each episode, such as [rotation--60..60]; or
-                      [{one_of: [rotation--60..60, locks-1..3, null], weights: [2, 2, 1]}]
+                      [{one_of: [rotation--60..60, locks-1..3, null], weights: [2, 2, 1]}];
+                      or a recipe that has them: a name that ships, or a file beside this one
     vec_env_wrapper   a wrapper around them, a mapping of it to its arguments, or a list of these
     memory            steps in each block of a memory of observations and actions, see `Memory`
     normalize         true, or arguments of `VecNormalize`, which is put around these
@@ -324,11 +325,28 @@ def read_recipe(
         FileNotFoundError: if there is no such file.
     """
     require(isinstance(source, str), "name", source, "a name, or the path of a YAML file")
+    recipe = _read(source, env_id)
+    if more := require_arguments("env_kwargs", env_kwargs):
+        recipe = _with_arguments(recipe, more)
+    return recipe if steps is None else recipe.with_changes(n_timesteps=steps)
+
+
+def _read(source: str, env_id: str | None = None, readers: tuple[Path, ...] = ()) -> Recipe:
+    """Read an entry, with its perturbations among the arguments of the environment.
+
+    `readers` are the files that take their perturbations from it, each those of the next.
+    """
     path = Path(source)
     if path.suffix not in SUFFIXES:
         if source not in names():
-            raise unknown("name", source, names(), "the path of a YAML file")
+            name = f"perturbations of {readers[-1].stem}" if readers else "name"
+            raise unknown(name, source, names(), "the path of a YAML file")
         path = _SHIPPED / f"{source}.yml"
+    elif readers:
+        path = readers[-1].parent / path
+    if path.resolve() in map(Path.resolve, readers):
+        circle = ", ".join(reader.stem for reader in (*readers, path))
+        raise UserError(f"perturbations must stand in one of these files, got a circle: {circle}")
     try:
         entries = _ENTRIES.validate_python(read_yaml_file(path))
     except ValidationError as error:
@@ -344,8 +362,24 @@ def read_recipe(
     if env_id not in entries:
         raise unknown(f"env for {source}", env_id, entries)
     recipe = Recipe(path.stem, env_id, entries[env_id])
-    entry = recipe.hyperparameters
-    drawn = {"perturbations": entry.pop("perturbations")} if "perturbations" in entry else {}
-    if more := {**drawn, **require_arguments("env_kwargs", env_kwargs)}:
-        recipe = recipe.with_changes(env_kwargs={**(entry.get("env_kwargs") or {}), **more})
-    return recipe if steps is None else recipe.with_changes(n_timesteps=steps)
+    if "perturbations" not in recipe.hyperparameters:
+        return recipe
+    drawn = recipe.hyperparameters.pop("perturbations")
+    if isinstance(drawn, str) and _is_of_recipe(drawn):
+        other = _read(drawn, None, (*readers, path)).hyperparameters.get("env_kwargs") or {}
+        accepted = "those of a recipe that has some"
+        require("perturbations" in other, f"perturbations of {path.stem}", drawn, accepted)
+        drawn = other["perturbations"]
+    return _with_arguments(recipe, {"perturbations": drawn})
+
+
+def _is_of_recipe(name: str) -> bool:
+    """Return whether a name is of a recipe, and thus begins with an algorithm, or of a file."""
+    path = Path(name)
+    return path.suffix in SUFFIXES or path.stem.partition("-")[0] in ALGORITHMS
+
+
+def _with_arguments(recipe: Recipe, more: dict[str, Any]) -> Recipe:
+    """Return the recipe with more arguments of the environment."""
+    arguments = recipe.hyperparameters.get("env_kwargs") or {}
+    return recipe.with_changes(env_kwargs={**arguments, **more})

@@ -99,6 +99,50 @@ def test_a_recipe_without_a_group_draws_the_others_with_their_weights():
         recipe.without("motor")
 
 
+def write(path, perturbations):
+    least = {"n_timesteps": 1000, "policy": "MlpPolicy", "env_kwargs": {"engine": "analytic"}}
+    entry = {**least, "perturbations": perturbations} if perturbations else least
+    path.write_text(yaml.safe_dump({"MMCReach-v0": entry}))
+    return str(path)
+
+
+def drawn_by(source):
+    return read_recipe(str(source)).settings["env_kwargs"].get("perturbations")
+
+
+def test_a_recipe_takes_the_perturbations_of_another(tmp_path):
+    (tmp_path / "more").mkdir()
+    write(tmp_path / "ppo-a.yml", ["longer-0..20", "locks-2"])
+    of_file = write(tmp_path / "more" / "sac-b.yml", "../ppo-a.yml")
+    of_that = write(tmp_path / "ppo-c.yml", "more/sac-b.yml")
+    assert drawn_by(of_file) == drawn_by(of_that) == ["longer-0..20", "locks-2"]
+    of_shipped = write(tmp_path / "ppo-d.yml", "ppo-drawn")
+    assert drawn_by(of_shipped) == drawn_by("ppo-drawn") == drawn_by("ppo-context")
+    assert read_recipe(of_shipped).settings["env_kwargs"]["engine"] == "analytic"
+    without = read_recipe(of_that).without("locks")
+    assert without.hyperparameters["env_kwargs"]["perturbations"] == ["longer-0..20"]
+    replaced = read_recipe(of_that, env_kwargs={"perturbations": ["delay-100"]})
+    assert replaced.settings["env_kwargs"]["perturbations"] == ["delay-100"]
+    assert drawn_by(write(tmp_path / "ppo-e.yml", "rotation-30")) == "rotation-30"  # no recipe
+    for name in ("ppo-stacked", "ppo_lstm-drawn", "sac-stacked"):
+        assert drawn_by(f"studies/learners/{name}.yml") == drawn_by("ppo-drawn")
+
+
+def test_perturbations_of_a_recipe_that_has_none_are_errors(tmp_path):
+    circle = "must stand in one of these files, got a circle: ppo-a, ppo-b, ppo-a"
+    write(tmp_path / "ppo-b.yml", "ppo-a.yml")
+    for value, message in {
+        "ppo-drwn": "perturbations of ppo-a 'ppo-drwn' is not accepted; did you mean 'ppo-drawn'",
+        "ppo": "perturbations of ppo-a must be those of a recipe that has some, got 'ppo'",
+        "ppo-b.yml": f"perturbations {circle}",
+        "ppo-a.yml": "got a circle: ppo-a, ppo-a",
+    }.items():
+        with pytest.raises(UserError, match=message):
+            read_recipe(write(tmp_path / "ppo-a.yml", value))
+    with pytest.raises(FileNotFoundError, match=r"none\.yml"):
+        read_recipe(write(tmp_path / "ppo-a.yml", "none.yml"))
+
+
 def test_a_file_that_holds_something_else_is_an_error(tmp_path):
     path = tmp_path / "ppo.yaml"
     for content, message in {

@@ -259,8 +259,11 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
 
 def test_a_policy_that_observes_the_context_does_so_in_every_scenario(tmp_path):
     file = tmp_path / "ppo-given.yml"
+    (tmp_path / "ppo-other.yml").write_text(
+        "MMCReach-v0: {perturbations: [rotation--60..60, {one_of: [locks-1..3, null]}]}\n"
+    )
     file.write_text(
-        "MMCReach-v0:\n  perturbations: [rotation--60..60, {one_of: [locks-1..3, null]}]\n"
+        "MMCReach-v0:\n  perturbations: ppo-other.yml\n"
         "  env_kwargs: {observe_context: true}\n  policy: MlpPolicy\n"
         "  n_timesteps: 400\n  n_envs: 4\n  n_steps: 100\n  batch_size: 100\n  memory: [1, 2]\n"
     )
