@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mmc_gym.envs.arms import ACTION_NOISE, MISSED, Arms, Floats
+from mmc_gym.envs.arms import ACTION_NOISE, MISSED, Arms, Bools, Floats
 from mmc_gym.envs.buffers import Indices, Late, Noise, Spells, combined
 
 MOTORS = frozenset(
@@ -23,6 +23,14 @@ MOTORS = frozenset(
     )
 )
 """The columns of `Arms` that say what becomes of actions."""
+
+
+def are_failing(arms: Arms) -> Bools:
+    """Return which motors are not as they would be without perturbations, (n, N)."""
+    plain, names = Arms.of(arms.base), (*MOTORS, "servo_gain", "torque_limit")
+    columns = [getattr(arms, name) != getattr(plain, name) for name in names]
+    rows = [column.reshape(len(arms), -1) for column in columns]
+    return np.logical_or.reduce(np.broadcast_arrays(arms.motor_stuck, *rows))
 
 
 class Motors:
@@ -38,6 +46,7 @@ class Motors:
         """
         self._touched, self._holds = touched, holds
         self.sent = np.zeros((count, joints))  #: the last actions as they arrived, (n, N)
+        self.commanded = np.zeros((count, joints))  #: these actions as they were commanded, (n, N)
         self._before = np.zeros((count, joints))  # the action that may be held or repeated
         sizes = zip(MISSED, (joints, joints, 1), strict=True)
         self._spells = {name: Spells(name, count, size) for name, size in sizes if name in touched}
@@ -49,7 +58,7 @@ class Motors:
 
     def begin(self, arms: Indices, rest: Floats) -> None:
         """Begin episodes of some arms, (k,) indices, whose motors rest, (k, N)."""
-        self.sent[arms] = self._before[arms] = rest
+        self.sent[arms] = self.commanded[arms] = self._before[arms] = rest
         for spells in self._spells.values():
             spells.begin(arms)
         self._late.fill(arms, rest)
@@ -60,6 +69,7 @@ class Motors:
         `actions` are (n, N), `arms` have the present columns, and `steps`, (n,), are those before.
         """
         touched, values = self._touched, np.asarray(actions, np.float64)
+        self.commanded = values
         for name, spells in self._spells.items():
             stays = self._holds or name != "action_dropped"
             instead = self._before if stays else 0.0

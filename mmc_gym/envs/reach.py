@@ -253,6 +253,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self._renderer is None:
             size = self._arguments.width, self._arguments.height
             self._renderer = Renderer(self.setup, self.episode, self.render_mode, size)
+        motors = self._motors
         scene = Scene(
             self._arm.segment_angles,
             self._target,
@@ -262,6 +263,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             steps=self._steps,
             cursor=self.cursor,
             observation=self._observation,
+            arms=self._arms,
+            actions=() if motors is None else (motors.commanded[0], motors.sent[0]),
         )
         return self._renderer.draw(scene)
 

@@ -4,7 +4,8 @@ A picture is painted larger than it is shown and then averaged down, which smoot
 
 Colour alone carries no meaning: the arm is the filled shape, the target the ring with a cross, with
 a second ring when it is reached.  An internal model's arm is a thin line with hollow joints.  Dots,
-or rings without a cross, show where the target will be.
+or rings without a cross, show where the target will be.  A joint whose motor fails has a cross: its
+action is a thin arc, by 90° if it is the largest, and what of it arrived is a thick arc within.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
+from mmc_gym.envs.arms import Arms
 from mmc_gym.envs.cursor import Cursor
+from mmc_gym.envs.motors import are_failing
 from mmc_gym.envs.setup import Episode, ReachSetup
 from mmc_gym.geometry import in_the_world, reachable_radii
 
@@ -170,6 +173,8 @@ class Scene:
     steps: int = 0  #: control steps since the reset
     cursor: Cursor | None = None  #: stands for the hand
     observation: Any = None  #: with noise and delay; drawn if the senses are disturbed
+    arms: Arms | None = None  #: the present columns of the arm, (1, …); drawn if motors fail
+    actions: Sequence[Any] = ()  #: as they were commanded, then as they arrived, each (N,)
 
 
 class Renderer:
@@ -324,12 +329,29 @@ class Renderer:
             for node in ghost[1:]:
                 canvas.disc(GHOST, node, 5.5)
                 canvas.disc(REACHABLE, node, 3)
+        for joint in np.flatnonzero(are_failing(scene.arms)).tolist() if scene.arms else ():
+            self._paint_motor(joint, nodes[joint], scene)
         first, free = self._episode.lock_step, self._episode.unlock_step
         is_locked = 0 <= first <= scene.steps and not 0 <= free <= scene.steps
         for joint in body.lockable_joints if is_locked else ():
             canvas.square(REACHABLE, nodes[joint], 18, math.pi / 4)
             canvas.square(OUTLINE, nodes[joint], 15, math.pi / 4)
             canvas.disc(REACHABLE, nodes[joint], 3)  # the keyhole
+
+    def _paint_motor(self, joint: int, node: Point, scene: Scene) -> None:
+        """Paint a cross on a joint whose motor fails, and arcs from its segment by its actions."""
+        canvas, shapes = self._canvas, zip((42, 33), (2, 5), scene.actions, strict=False)
+        for radius, width, actions in shapes:
+            turns = scene.segment_angles[joint] + np.linspace(0, actions[joint], 13) * math.pi / 2
+            along = np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+            arc = (node + along * radius / canvas.pixels(1)).tolist()
+            canvas.edged_line(OUTLINE, arc if actions[joint] else [], width)
+        canvas.disc(OUTLINE, node, 12)
+        canvas.disc(REACHABLE, node, 9.5)
+        half = 6 / canvas.pixels(1)
+        for up in (half, -half):
+            ends = (node[0] - half, node[1] - up), (node[0] + half, node[1] + up)
+            canvas.line(OUTLINE, ends, 3)
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
         """Paint arm, hand and target as the agent observes them."""

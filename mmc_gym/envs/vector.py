@@ -274,6 +274,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             setup, size = self.setup, (self._arguments.width, self._arguments.height)
             episode = setup.episode(self._numbers[arm]) if setup.episodes.is_drawn else setup.first
             self._renderers[arm] = Renderer(setup, episode, "rgb_array", size)
+        motors = self._motors
         steps, hands = int(self._steps[arm]), [hands[arm].tolist() for hands in self._trace]
         path = self._paths[arm, : self._last_places[arm] + 1].tolist()
         scene = Scene(
@@ -284,6 +285,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             steps=steps,
             cursor=None if self._cursor is None else self._cursor.row(arm),
             observation=None if self._senses is None else self._observation[arm],
+            arms=self._arms.rows([arm]),
+            actions=() if motors is None else (motors.commanded[arm], motors.sent[arm]),
         )
         return cast("NDArray[np.uint8]", self._renderers[arm].draw(scene))
 

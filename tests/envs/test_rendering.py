@@ -178,6 +178,48 @@ def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint):
     assert not looks_perturbed(lock, point, steps=9)
 
 
+def acting(perturbations, actions=(0.0, 0.0, 0.0), steps=1):
+    """The picture of an arm in `POSTURE` after some steps with these actions."""
+    env = MMCReachEnv(render_mode="rgb_array", perturbations=perturbations)
+    env.reset(seed=0, options={"joint_angles": [0.5] * 3, "target": FAR})
+    for _ in range(steps):
+        env.step(np.float32(actions))
+    return env.render().astype(float)
+
+
+FAILING = [name for name, family in FAMILIES.items() if family.group == "motors"]
+
+
+@pytest.mark.parametrize("name", FAILING)
+def test_a_joint_whose_motor_fails_has_a_cross(name):
+    pair = acting([], steps=0), acting([name], steps=0)
+    shows = [differ(*pair, tuple(node), 3) for node in NODES[:3]]
+    assert shows == [name != "stuck-motor", True, name != "stuck-motor"]
+
+
+def test_a_cross_is_on_the_joint_that_is_named_and_only_once_its_motor_fails():
+    for steps, shows in ((2, [False, False, False]), (3, [False, False, True])):
+        pair = acting([], steps=steps), acting(["motor-gain-0.4-of-3-at-0.06"], steps=steps)
+        assert [differ(*pair, tuple(node), 3) for node in NODES[:3]] == shows
+
+
+def test_arcs_show_the_action_that_was_commanded_and_what_of_it_arrived():
+    def on_arc(radius, share, joint=0):  # the point of an arc of an action
+        turn, away = POSTURE[joint] + share * math.pi / 2, radius / View(3.0).scale
+        x, y = NODES[joint]
+        return x + away * math.cos(turn), y + away * math.sin(turn)
+
+    reversed_, still = acting(["motor-gain--1"], (0.4, 0, 0)), acting(["motor-gain--1"])
+    assert differ(reversed_, still, on_arc(42, 0.35), 1)
+    assert not differ(reversed_, still, on_arc(42, -0.35), 1)
+    assert differ(reversed_, still, on_arc(33, -0.35), 1)
+    assert not differ(reversed_, still, on_arc(33, 0.35), 1)
+    stuck = acting(["stuck-motor-1"], (0.4, 0, 0))
+    assert differ(stuck, still, on_arc(42, 0.35), 1)
+    assert not differ(stuck, still, on_arc(33, 0.3), 1)
+    assert not differ(stuck, still, on_arc(33, -0.3), 1)
+
+
 def test_arrows_turn_as_the_field_bends():
     """Upside down, a field's arrows are the opposite field's."""
     fields = [setup_of(perturbations=[name]) for name in ("force-field-9", "force-field--9")]
@@ -282,7 +324,14 @@ def test_a_window_that_sdl_refuses_is_explained(monkeypatch):
         make("human").reset(seed=0)
 
 
-@pytest.mark.parametrize("perturbations", [["longer--30..35", "rotation--60..60"], "joint-noise"])
+@pytest.mark.parametrize(
+    "perturbations",
+    [
+        ["longer--30..35", "rotation--60..60"],
+        "joint-noise",
+        ["motor-gain--1..1-of-2", "action-delay-0..60"],
+    ],
+)
 def test_a_vector_draws_what_its_arms_would_draw(perturbations):
     made = {"perturbations": perturbations, "max_episode_steps": 4, "render_mode": "rgb_array"}
     made |= {"num_envs": 3, "width": 96, "height": 96}
