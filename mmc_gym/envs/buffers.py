@@ -66,18 +66,17 @@ class Noise:
             if self._uniform:
                 randoms[arm].random(dtype=np.float32, out=self._uniforms[arm])
 
-    def normal(self, name: str, steps: Indices, arms: Any = None) -> Floats:
-        """Return normally distributed numbers of all arms, or of some, for a step, (n, …)."""
+    def normal(self, name: str, steps: Indices, arms: Indices) -> Floats:
+        """Return normally distributed numbers of k arms for a step, (k, …)."""
         return _taken(self._normals, arms, steps)[:, self._normal[name]]
 
-    def uniform(self, name: str, steps: Indices, arms: Any = None) -> NDArray[np.float32]:
-        """Return numbers within [0, 1) of all arms, or of some, for a step, (n, …)."""
+    def uniform(self, name: str, steps: Indices, arms: Indices) -> NDArray[np.float32]:
+        """Return numbers within [0, 1) of k arms for a step, (k, …)."""
         return _taken(self._uniforms, arms, steps)[:, self._uniform[name]]
 
 
-def _taken(blocks: NDArray[Any], arms: Indices | None, steps: Indices) -> Any:
-    """Return the numbers of a step, (k, m), of arms with blocks (n, steps, m); None: of all."""
-    arms = np.arange(len(blocks)) if arms is None else arms
+def _taken(blocks: NDArray[Any], arms: Indices, steps: Indices) -> Any:
+    """Return the numbers of a step, (k, m), of arms with blocks (n, steps, m)."""
     rows = blocks.reshape(len(blocks) * _BLOCK, blocks.shape[2])
     return rows.take(arms * _BLOCK + steps % _BLOCK, axis=0)  # quicker than two indices
 
@@ -116,25 +115,28 @@ class Spells:
         arms: Arms,
         noise: Noise,
         steps: Indices,
-        indices: Indices | None = None,
+        rows: Indices | slice = slice(None),
         may_be: Bools | bool = True,
-    ) -> Bools:
-        """Return to which numbers of k arms it happens in this step, (k, m); None: of all arms.
+    ) -> tuple[Indices, Bools]:
+        """Return the places of j of k arms, and to which of their numbers it happens now, (j, m).
 
-        `arms` have the present columns of all.  It begins only where it `may_be`, (k,), and ends
-        where it has no probability any more.  What is repeated was there once before, so it begins
-        after this step, and a spell never follows another at once.
+        It never happens to the others.  `arms` have the present columns of all.  It begins only
+        where it `may_be`, (k,), and ends where it has no probability any more.  What is repeated
+        was there once before, so it begins after this step, and a spell never follows another at
+        once.
         """
-        rows: Any = slice(None) if indices is None else indices
-        probability = np.where(may_be, getattr(arms, self._name)[rows], 0.0)[:, None]
-        duration = getattr(arms, f"{self._name}_steps")[rows][:, None]
+        probability = np.where(may_be, getattr(arms, self._name)[rows], 0.0)
+        places = np.flatnonzero(probability)
+        indices = np.arange(len(self._left))[rows][places]
+        duration = getattr(arms, f"{self._name}_steps")[indices, None]
         begins_after = self._name.endswith("_repeated")
-        chances = noise.uniform(self._name, steps, indices)
-        before = np.where(probability > 0.0, self._left[rows], np.float32(0.0))
-        begins = (before == 0.0) & (chances < probability.astype(np.float32))
+        chances = noise.uniform(self._name, steps[places], indices)
+        before = self._left[indices]
+        begins = (before == 0.0) & (chances < probability[places, None].astype(np.float32))
         left = np.where(begins, (duration + begins_after).astype(np.float32), before)
-        self._left[rows] = np.maximum(left - np.float32(1.0), np.float32(0.0))
-        return np.asarray((before if begins_after else left) > 0.0)
+        self._left[rows] = 0.0
+        self._left[indices] = np.maximum(left - np.float32(1.0), np.float32(0.0))
+        return places, np.asarray((before if begins_after else left) > 0.0)
 
 
 class Late:

@@ -88,11 +88,12 @@ class Part:
         if is_chosen.all():
             family.apply(arms, strengths, **settings)
         elif is_chosen.any():
-            rows, of_arms = arms.rows(is_chosen), [*settings.items()]
+            places = np.flatnonzero(is_chosen)  # quicker than a mask
+            rows, of_arms = arms.rows(places), [*settings.items()]
             for name, value in of_arms:
-                settings[name] = value[is_chosen] if isinstance(value, np.ndarray) else value
-            family.apply(rows, strengths[is_chosen], **settings)
-            arms.write(is_chosen, rows)
+                settings[name] = value[places] if isinstance(value, np.ndarray) else value
+            family.apply(rows, strengths[places], **settings)
+            arms.write(places, rows)
 
     def spans(self, drawn: Floats, control_step: float) -> list[tuple[Any, Any]]:
         """Return first and last control steps between which it changes, each (n,) or a number."""

@@ -68,12 +68,13 @@ class Motors:
 
         `actions` are (n, N), `arms` have the present columns, and `steps`, (n,), are those before.
         """
-        touched, values = self._touched, np.asarray(actions, np.float64)
-        self.commanded = values
+        touched, self.commanded = self._touched, np.asarray(actions, np.float64)
+        values = self.commanded.copy()
         for name, spells in self._spells.items():
+            places, happens = spells.now(arms, noise, steps)
             stays = self._holds or name != "action_dropped"
-            instead = self._before if stays else 0.0
-            values = np.where(spells.now(arms, noise, steps), instead, values)
+            instead = self._before[places] if stays else 0.0
+            values[places] = np.where(happens, instead, values[places])
         self._before = values
         if "action_delay" in touched:
             self._late.send(values)
@@ -83,9 +84,11 @@ class Motors:
         if "motor_offset" in touched:
             values = values + arms.motor_offset
         if touched & ACTION_NOISE:
-            std, increase = arms.action_noise[:, None], arms.action_noise_size[:, None]
-            std = combined(std, increase * np.abs(values))
-            values = values + std * noise.normal("action_noise", steps)
+            noisy = np.flatnonzero(arms.action_noise + arms.action_noise_size)
+            std, increase = arms.action_noise[noisy, None], arms.action_noise_size[noisy, None]
+            std = combined(std, increase * np.abs(values[noisy]))
+            values = values.copy()
+            values[noisy] += std * noise.normal("action_noise", steps[noisy], noisy)
         if "dead_zone" in touched:
             is_small = np.abs(values) < arms.dead_zone[:, None]
             values = np.where(is_small, self.sent if self._holds else 0.0, values)

@@ -80,19 +80,22 @@ class Senses:
         `indices` and `steps` since the start are (k,), `true` is what there is to see, `arms` have
         the present columns of all n, and `hands` are the true positions, (k, 2).
         """
-        touched, seen = self._touched, true
+        touched, seen, rows = self._touched, true, self._rows(indices)
         if "vision_delay" in touched:
             self._sights.take(indices, steps, np.stack([seen.hand, seen.target], axis=1))
-            sights = self._sights.arrived(arms.steps_of("vision_delay"))[indices]
+            sights = self._sights.arrived(arms.steps_of("vision_delay"))[rows]
             seen = replace(seen, hand=sights[:, 0], target=sights[:, 1])
         if touched & FELT:
             seen = self._feel(indices, steps, seen, arms, noise)
         if touched & VISION_NOISE:
-            std, increase = arms.vision_noise[indices], arms.vision_noise_distance[indices]
-            apart = distances(seen.hand, seen.target)
-            std = combined(std, increase * apart)[:, None]
-            of_hand, of_target = np.split(noise.normal("vision_noise", steps, indices), 2, axis=-1)
-            hand, target = seen.hand + std * of_hand, seen.target + std * of_target
+            std, increase = arms.vision_noise[rows], arms.vision_noise_distance[rows]
+            noisy = np.flatnonzero(std + increase)
+            hand, target = seen.hand.copy(), seen.target.copy()
+            apart = distances(hand[noisy], target[noisy])
+            std = combined(std[noisy], increase[noisy] * apart)[:, None]
+            normal = std * noise.normal("vision_noise", steps[noisy], indices[noisy])
+            hand[noisy] += normal[:, :2]
+            target[noisy] += normal[:, 2:]
             seen = replace(seen, hand=hand, target=target)
         if "hidden" in touched:
             sight = self._hand_sight
@@ -100,30 +103,40 @@ class Senses:
             return replace(seen, hand=shown), sight.is_seen[indices]
         return seen, None
 
+    def _rows(self, indices: Indices) -> Any:
+        """Return the indices of arms, or the slice of all, which is quicker."""
+        return slice(None) if len(indices) == len(self._before) else indices
+
     def _feel(self, indices: Indices, steps: Indices, seen: Seen, arms: Arms, noise: Noise) -> Seen:
         """Return what is felt of the joints of k arms, besides what is seen."""
-        touched, angles, speeds = self._touched, seen.joint_angles, seen.joint_speeds
+        touched, rows = self._touched, self._rows(indices)
+        angles, speeds = seen.joint_angles.copy(), seen.joint_speeds.copy()
         if "joint_stuck" in touched:
-            is_stuck = arms.joint_stuck[indices] & (steps > 0)[:, None]
-            angles = np.where(is_stuck, self._felt[indices], angles)
-            speeds = np.where(arms.joint_stuck[indices], 0.0, speeds)
-            self._felt[indices] = angles
+            is_stuck = arms.joint_stuck[rows]
+            np.copyto(angles, self._felt[rows], where=is_stuck & (steps > 0)[:, None])
+            speeds[is_stuck] = 0.0
+            self._felt[rows] = angles
         if "joint_offset" in touched:
-            angles = angles + arms.joint_offset[indices]
+            angles += arms.joint_offset[rows]
         if "joint_drift" in touched:
-            drifted = self._drifted[indices] + arms.joint_drift[indices] * self._step
-            self._drifted[indices] = drifted = np.where((steps == 0)[:, None], 0.0, drifted)
-            angles = angles + drifted
+            drifted = self._drifted[rows] + arms.joint_drift[rows] * self._step
+            drifted[steps == 0] = 0.0
+            self._drifted[rows] = drifted
+            angles += drifted
         if touched & JOINT_NOISE:
-            std, increase = arms.joint_noise[indices], arms.joint_noise_speed[indices]
-            std = combined(std[:, None], increase[:, None] * np.abs(speeds))
-            normal = noise.normal("joint_noise", steps, indices)
+            std, increase = arms.joint_noise[rows], arms.joint_noise_speed[rows]
+            noisy = np.flatnonzero(std + increase)
+            std, increase = std[noisy, None], increase[noisy, None]
+            std = combined(std, increase * np.abs(speeds[noisy]))
+            normal = noise.normal("joint_noise", steps[noisy], indices[noisy])
             of_angles, of_speeds = np.split(normal, 2, axis=-1)
-            angles, speeds = angles + std * of_angles, speeds + _VELOCITY_NOISE * std * of_speeds
+            angles[noisy] += std * of_angles
+            speeds[noisy] += _VELOCITY_NOISE * std * of_speeds
         if "encoder" in touched:
-            counts = arms.encoder[indices][:, None]
-            width = 2 * np.pi / np.where(counts == 0.0, 1.0, counts)
-            angles = np.where(counts == 0.0, angles, np.rint(angles / width) * width)
+            counts = arms.encoder[rows]
+            counted = np.flatnonzero(counts)
+            width = 2 * np.pi / counts[counted, None]
+            angles[counted] = np.rint(angles[counted] / width) * width
         return replace(seen, joint_angles=angles, joint_speeds=speeds)
 
     def transmit(
@@ -135,20 +148,21 @@ class Senses:
         noise: Noise,
     ) -> NDArray[np.float32]:
         """Return what is transmitted of observations of k arms, (k, …), see `sense`."""
+        rows = self._rows(indices)
         if "observation_noise" in self._touched:
-            std = arms.observation_noise[indices][:, None]
-            normal = noise.normal("observation_noise", steps, indices)
-            observation = (observation + std * normal).astype(np.float32)
+            std = arms.observation_noise[rows]
+            noisy = np.flatnonzero(std)
+            normal = noise.normal("observation_noise", steps[noisy], indices[noisy])
+            observation = observation.copy()
+            observation[noisy] = observation[noisy] + std[noisy, None] * normal
             observation = observation.clip(-self._limits, self._limits)
         if self._spells:
-            starts = steps == 0
-            self._before[indices[starts]] = observation[starts]
-            before = self._before[indices]
+            observation, is_later = observation.copy(), steps > 0
             for name, spells in self._spells.items():
-                happens = spells.now(arms, noise, steps, indices, may_be=~starts)
-                instead = np.float32(0.0) if name == "number_dropped" else before
-                observation = np.where(happens, instead, observation)
-            self._before[indices] = observation
+                places, happens = spells.now(arms, noise, steps, rows, is_later)
+                before = 0.0 if name == "number_dropped" else self._before[indices[places]]
+                observation[places] = np.where(happens, before, observation[places])
+            self._before[rows] = observation
         if "delay" not in self._touched:
             return observation
         self.late.take(indices, steps, observation)

@@ -111,7 +111,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._numbers = np.tile(first, (num_envs, 1))
         self._context_shown = np.tile(setup.context_of(first), (num_envs, 1))
         self._before = np.full_like(self._numbers, np.nan)  # drawn for the episodes before
-        self._context: dict[str, Any] = {}  # of all arms, if it is known
+        self._context: Floats | None = None  # of all arms, (m, n), if it is known
         #: of all arms, at the present time
         self._arms = setup.first.arms.rows(np.zeros(num_envs, dtype=np.intp))
         self._cursor: Cursor | None = None
@@ -352,7 +352,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             context = options.context[arms]
             numbers = np.where(np.isnan(context), numbers, context)
         self._numbers[arms] = self._before[arms] = numbers
-        self._context = {}
+        self._context = None
         drawn = setup.first.arms.rows(0 * arms)
         if episodes.is_drawn:
             self._context_shown[arms], drawn = setup.context_of(numbers), episodes.arms(numbers)
@@ -549,8 +549,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Let these arms observe, with disturbed senses what these make of it; complete `info`."""
         setup, senses = self.setup, self._senses
         if setup.episodes.is_drawn:
-            self._context = self._context or self.context
-            info["context"] = {name: column[arms].copy() for name, column in self._context.items()}
+            if self._context is None:
+                self._context = np.array([*self.context.values()])
+            names = (strength.name for strength in setup.episodes.strengths)
+            info["context"] = dict(zip(names, self._context[:, arms].copy(), strict=True))
         if setup.has_cursor:
             info["cursor"] = hands
         if setup.channel is not None:
