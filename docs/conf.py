@@ -67,8 +67,8 @@ nitpick_ignore_regex = [
     (r"py:.*", r"mmc_gym\.agents\.(body_model\.(?!(agent|parts)\.).*|\w+\.(Belief|SavedModel))"),
     (r"py:.*", r"mmc_gym\.agents\.([a-z_]+\.)+\w+State"),
     # What a range and the arms' drawn numbers are inside.
-    (r"py:.*", r"mmc_gym\.envs\.(changes\.Direction|names\.Range|spec\.Episodes)"),
-    (r"py:.*", r"mmc_gym\.envs\.(spec\.(Options|R\w+)|reach\.GoalEnvironment|scenarios\.OwnFacts)"),
+    (r"py:.*", r"mmc_gym\.envs\.(changes\.Direction|names\.Range)"),
+    (r"py:.*", r"mmc_gym\.envs\.(reach\.GoalEnvironment|scenarios\.OwnFacts)"),
     (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),
     (r"py:.*", r"mmc_gym\.robots\.records\.ZeroPosture"),
     # Type variables, and names of types that are no classes.
