@@ -57,6 +57,7 @@ def agents_text() -> str:
         *listed("Agents, for `mmc_gym.make_agent(name, env)`", mmc_gym.list_agents()),
         *listed("Tasks, for `task=`", mmc_gym.list_tasks()),
         *listed("Perturbations, for `perturbations=[...]`", mmc_gym.list_perturbations()),
+        *listed("Suites and protocols of `mmc-gym benchmark`", mmc_gym.list_suites()),
         *listed("Measures", mmc_gym.list_measures()),
         "## Commands",
         "",

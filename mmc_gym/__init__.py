@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         list_measures,
         list_perturbations,
         list_scenarios,
+        list_suites,
         list_tasks,
     )
     from mmc_gym.measures import run_episodes
@@ -51,6 +52,7 @@ __all__ = [
     "list_measures",
     "list_perturbations",
     "list_scenarios",
+    "list_suites",
     "list_tasks",
     "make",
     "make_agent",

@@ -409,7 +409,9 @@ def play(
 
 def list_(
     what: Positional[
-        Literal["agents", "tasks", "perturbations", "scenarios", "experiments", "measures"]
+        Literal[
+            "agents", "tasks", "perturbations", "scenarios", "suites", "experiments", "measures"
+        ]
     ],
     more: ImportOptions = NO_IMPORTS,
 ) -> None:

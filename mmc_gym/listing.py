@@ -100,6 +100,22 @@ def list_scenarios() -> Listing:
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
 
+def list_suites() -> Listing:
+    """Return the names of the benchmark's suites and protocols: scenarios that belong together."""
+    from mmc_gym.benchmark.suite import SUITES
+
+    suites = {
+        "standard": "tasks, and perturbations of cursor, body and senses",
+        "faults": "motors and senses that fail, in a few strengths each",
+        "realworld": "the combined challenges of the Real-World RL suite",
+    }
+    rows = [Listed(name, suites[name], f"--suite, {len(SUITES[name])}") for name in SUITES]
+    what = "strengths inside, between and beyond the trained ranges"
+    rows.append(Listed("generalisation", what, "--protocol"))
+    rows.append(Listed("kinds", "groups that trainings met, or did not", "--protocol"))
+    return Listing(Listed("suite", "what it is", "option, scenarios"), rows)
+
+
 def list_experiments() -> Listing:
     """Return the names of experiments over trials, each of any strength."""
     from mmc_gym.experiments.experiment import EXPERIMENTS, find_experiment

@@ -9,7 +9,7 @@ from PIL import Image
 import mmc_gym
 from mmc_gym import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.benchmark.suite import SCENARIOS, SUITES
 from mmc_gym.cli import main
 from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.perturbations import FAMILIES
@@ -24,6 +24,7 @@ NAMES = {
     "tasks": TASKS,
     "perturbations": FAMILIES,
     "scenarios": SCENARIOS,
+    "suites": (*SUITES, "generalisation", "kinds"),
     "experiments": EXPERIMENTS,
     "measures": MEASURES,
 }
