@@ -87,7 +87,8 @@ def shown(value: object) -> str:
 
 def is_whole(value: object) -> TypeGuard[int]:
     """Return whether a value is a whole number; bools are not."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
+    # The first comparison is for speed.
+    return type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
 
 
 def is_point(numbers: Numbers) -> bool:
@@ -177,8 +178,13 @@ def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArr
     if array.shape[max(0, array.ndim - len(trailing)) :] != trailing:  # to tell it takes a while
         accepted = f"of shape (..., {', '.join(map(str, trailing))})"
         require(False, name, array.shape, accepted)
-    require(bool(np.isfinite(array).all()), name, value, "finite")
+    require(every(np.isfinite(array)), name, value, "finite")
     return array
+
+
+def every(flags: NDArray[np.bool_]) -> bool:
+    """Return whether all are true; of a few, `flags.all()` takes twice as long."""
+    return b"\0" not in flags.tobytes()
 
 
 def require_batch(name: str, shapes: Sequence[tuple[int, ...]]) -> tuple[int, ...]:

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 
 from mmc_gym._errors import (
     UserError,
+    every,
     is_whole,
     missing,
     require,
@@ -46,6 +47,7 @@ from mmc_gym.geometry import Floats
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
+_LAST_ROW = np.eye(4)[3]  # of a pose
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
 # Largest deviation of a rotation times its transpose from the identity: as it is, and rounded.
 _SQUARE, _ROUNDED = 1e-6, 1e-3
@@ -93,9 +95,9 @@ def nearest_rotations(name: str, value: Floats) -> Floats:
 
 def require_poses(name: str, value: ArrayLike) -> Floats:
     """Return poses (..., 4, 4); raise a `UserError` for what is none."""
-    poses = np.array(require_floats(name, value, (4, 4)), np.float64)
+    poses = require_floats(name, value, (4, 4)).astype(np.float64, copy=False)
     accepted = "a pose: a rotation, a position and the row 0, 0, 0, 1"
-    require(bool((poses[..., 3, :] == (0, 0, 0, 1)).all()), name, value, accepted)
+    require(every(poses[..., 3, :] == _LAST_ROW), name, value, accepted)
     poses[..., :3, :3] = nearest_rotations(name, poses[..., :3, :3])
     return poses
 

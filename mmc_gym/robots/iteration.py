@@ -74,7 +74,7 @@ def solve(
                     _look(this, pool, lacks, arm, course, pace)
                 nearest = np.argmin(lacks)
                 lacks[nearest] = np.inf
-                _go_to(this, pool[nearest])
+                _go_to(this, pool[nearest].angle)
             _settle(this, arm, course, pace)
             end.iterations += this.iterations
             if this.rank < end.rank:
@@ -117,12 +117,33 @@ def _keep(end, this):
 
 @shared
 def _look(this, pool, lacks, arm, course, pace):
-    """Find what each posture of the pool lacks."""
+    """Find what each posture of the pool lacks; where joints are held, it has to be placed anew."""
+    is_held = False
+    for i in range(this.low.shape[0]):
+        is_held |= this.low[i] == this.high[i]
     for p in range(len(pool)):
-        _go_to(this, pool[p])
-        _begin(this)
-        _see(this, arm, course, pace)
+        if is_held:
+            _go_to(this, pool[p].angle)
+            _begin(this)
+            _place(this, arm)
+        else:
+            _recall(this, pool[p], arm)
+        _compare(this, course, pace)
         lacks[p] = this.merit
+
+
+@inner
+def _recall(this, posture, arm):
+    """Take over the nodes of a posture of the pool, and move a tool's along."""
+    for a in range(3):
+        this.shift[a] = posture.shift[a]
+        for f in range(3):
+            this.moved[a, f] = posture.moved[a, f]
+    for g in range(posture.node.shape[0]):
+        for a in range(3):
+            this.node[g, a] = posture.node[g, a]
+    for g in range(posture.node.shape[0], arm.nodes.shape[0]):
+        _place_node(this, arm.nodes, g)
 
 
 @shared

@@ -46,7 +46,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from types import ModuleType
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -76,6 +76,7 @@ from mmc_gym.robots.records import (
     Tolerance,
     ZeroPosture,
     end_type,
+    posture_type,
     task_type,
     try_type,
 )
@@ -99,6 +100,8 @@ PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
 _NO_START = "without prefer or solutions, where all starts settle"
 _ENDLESS = Tolerance(0.0, 0.0, 0.0, 0.0, 0.0)  # of what does not stop
+_AXES = get_args(Axis)
+_NO_TURN: Floats = np.zeros((3, 3))
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
@@ -213,19 +216,9 @@ class HingeNetwork:
             tool: a point of a tool, seen from the hand, (3,), or its pose, (4, 4).  Position,
                 rotation, pose and direction are then those of the tool.
         """
-        arm, held, points = self.arm, held or {}, points or {}
-        accepted = "a mapping of joints, by index or name, to angles"
-        require(isinstance(held, Mapping), "held", held, accepted)
-        accepted = "a mapping of nodes, by index, to positions"
-        require(isinstance(points, Mapping), "points", points, accepted)
-        for node in points:
-            if node not in range(1, arm.node_count):
-                raise unknown("node", node, range(1, arm.node_count))
-        angles = {
-            arm.joint_index(joint): _floats("held", angle, ()) for joint, angle in held.items()
-        }
-        require(len(angles) == len(held), "held", list(held), "of different joints")
-        places = {node: _floats("points", point, (3,)) for node, point in points.items()}
+        arm, zero_posture, home = self.arm, self._zero_posture, self.arm.home
+        angles = self._held(held) if held else {}
+        places = self._places(points) if points else {}
         if pose is not None:
             is_alone = position is None and rotation is None and direction is None
             require(is_alone, "pose", pose, "without position, rotation or direction beside it")
@@ -236,8 +229,7 @@ class HingeNetwork:
             place = None if position is None else _floats("position", position, (3,))
             rotations = None if rotation is None else _rotations(rotation)
         require(rotation is None or direction is None, "direction", direction, "without rotation")
-        require_choice("axis", axis, get_args(Axis))
-        zero_posture, home = self._zero_posture, arm.home
+        require_choice("axis", axis, _AXES)
         if tool is not None:
             home = home @ _tool_pose(tool)
             nodes = np.vstack([zero_posture.nodes, home[:3, 3]])
@@ -245,15 +237,14 @@ class HingeNetwork:
         last = len(zero_posture.nodes) - 1
         if place is not None:
             places[last] = place
-        turn: Floats = np.zeros((3, 3))  # of the whole arm in its zero posture
-        held_axis: Floats = np.zeros(3)
+        turn, held_axis = _NO_TURN, _NO_TURN[0]  # of the whole arm in its zero posture
         if rotations is not None:
             turn = rotations @ home[:3, :3].T
-        if direction is not None:
+        elif direction is not None:
             aim = _floats("direction", direction, (3,))
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
             require(bool((length > 0).all()), "direction", direction, "other than zero")
-            column = get_args(Axis).index(axis)
+            column = _AXES.index(axis)
             held_axis = home[:3, column].copy()  # a slice would be compiled anew
             # The product of this and the turn of a posture has twice the cosine as its trace.
             turn = 2 * (aim / length)[..., :, None] * held_axis
@@ -261,26 +252,43 @@ class HingeNetwork:
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
         tasks = np.zeros(require_batch("clamps", shapes), task_type(arm.joint_count, last + 1))
-        tasks["low"], tasks["high"] = arm.limits.T
-        tasks["rotation"] = turn
-        for (joint, angle), value in zip(angles.items(), held.values()):
-            low, high = arm.limits[joint]
-            name = arm.joint_names[joint]
-            movers = zip(arm.axis_joints, arm.is_slide)
-            units = {"m" if slides else "rad" for mover, slides in movers if mover == joint}
-            unit = " or ".join(sorted(units))
-            accepted = f"within the limits of {name!r}, {low:.6g} to {high:.6g} {unit}"
-            within = angle.clip(low, high)
-            is_within = np.abs(angle - within) <= _SINGLE * np.maximum(1.0, np.abs(within))
-            require(bool(is_within.all()), "held", value, accepted)
-            tasks["low"][..., joint] = tasks["high"][..., joint] = within
+        tasks["low"], tasks["high"], tasks["rotation"] = arm.limits[:, 0], arm.limits[:, 1], turn
+        for joint, angle in angles.items():
+            tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
             tasks["place"][..., node, :] = place
-        is_placed = np.zeros(last + 1, np.bool_)
-        is_placed[list(places)] = True
+        is_placed = np.array([node in places for node in range(last + 1)])
         has_rotation = rotations is not None or direction is not None
-        free = max(1, arm.joint_count - len(held))
+        free = max(1, arm.joint_count - len(angles))
         return HingeClamps(tasks, is_placed, has_rotation, free, zero_posture, held_axis)
+
+    def _held(self, held: HeldJoints) -> dict[int, Floats]:
+        """Return the angles of held joints by index, within their limits."""
+        accepted = "a mapping of joints, by index or name, to angles"
+        require(isinstance(held, Mapping), "held", held, accepted)
+        arm, angles = self.arm, dict[int, Floats]()
+        for key, value in held.items():
+            joint, angle = arm.joint_index(key), _floats("held", value, ())
+            require(joint not in angles, "held", list(held), "of different joints")
+            (low, high), name = arm.limits[joint], arm.joint_names[joint]
+            angles[joint] = angle.clip(low, high)
+            most = _SINGLE * np.maximum(1.0, np.abs(angles[joint]))
+            if (np.abs(angle - angles[joint]) > most).any():
+                movers = zip(arm.axis_joints, arm.is_slide)
+                units = {"m" if slides else "rad" for mover, slides in movers if mover == joint}
+                accepted = f"{low:.6g} to {high:.6g} {' or '.join(sorted(units))}"
+                require(False, "held", value, f"within the limits of {name!r}, {accepted}")
+        return angles
+
+    def _places(self, points: Mapping[int, ArrayLike]) -> dict[int, Floats]:
+        """Return the places of held nodes by index."""
+        accepted = "a mapping of nodes, by index, to positions"
+        require(isinstance(points, Mapping), "points", points, accepted)
+        nodes = range(1, self.arm.node_count)
+        for node in points:
+            if node not in nodes:
+                raise unknown("node", node, nodes)
+        return {node: _floats("points", point, (3,)) for node, point in points.items()}
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
@@ -363,15 +371,16 @@ class HingeNetwork:
         accepted = "two positive numbers, of position in m and of rotation in radians"
         far, turn = require_numbers("tolerance", tolerance, accepted, _are_tolerances)
         require(start is None or (prefer is None and solutions is None), "start", start, _NO_START)
-        tasks, name = clamps.tasks, "start" if prefer is None else "prefer"
-        reference, n = start if prefer is None else prefer, self.arm.joint_count
-        near = self._middle
-        if reference is not None:
-            near = _floats(name, reference, (n,))
+        tasks, near, batch = clamps.tasks, self._middle, clamps.tasks.shape
+        n, has_start = len(near), start is not None
+        if has_start or prefer is not None:
+            name, reference = ("start", start) if has_start else ("prefer", prefer)
+            near = np.array(require_floats(name, reference, (n,)), np.float64)
             batch = require_batch(name, [tasks.shape, near.shape[:-1]])
             if not tasks.shape == near.shape[:-1] == batch:
-                near, tasks = np.broadcast_to(near, (*batch, n)), np.broadcast_to(tasks, batch)
-        has_place = bool(clamps.is_placed.any())
+                near = np.broadcast_to(near, (*batch, n)).copy()
+                tasks = np.broadcast_to(tasks, batch).copy()
+        has_place = not (position is None and pose is None and not points)
         if not (has_place or clamps.has_rotation or held):
             accepted = "a position, a rotation, a pose, a direction, points or held"
             raise UserError(f"solve must be given a task: {accepted}")
@@ -379,19 +388,18 @@ class HingeNetwork:
         kind = clamps.free_joints, clamps.has_rotation, has_place
         bounds, race = _race(self, *kind, (far, turn), iterations, starts)
         course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *bounds)
-        pool, batch = _pool(self.arm, max(starts, POOL), seed), tasks.shape
-        tasks, near = tasks.flatten(), near.reshape(-1, n).copy()
+        pool = _pool(self.arm, max(starts, POOL), seed)
+        tasks, near = tasks.ravel(), near.reshape(-1, n)
         ends = np.empty((len(tasks), count), end_type(n))
         if prefer is not None or solutions is not None:
             near = np.broadcast_to(near, (len(tasks), n))
             for row, task in enumerate(tasks):
                 tries = self._tries(np.broadcast_to(task, starts))
-                tries["angle"], tries["start"] = pool[:starts], near[row]
+                tries["angle"], tries["start"] = pool["angle"][:starts], near[row]
                 tries["angle"][0] = near[row]
                 ends[row] = _nearest(tries, clamps.arm, course, race, count)
         else:
-            tries, has_start = np.empty(1, self._try_type(tasks)), start is not None
-            shared = tries, clamps.arm, course, race
+            shared = np.empty(1, self._try_type(tasks)), clamps.arm, course, race
             _compiled().solve(tasks, near, has_start, pool, ends[:, 0], *shared)
         ends = ends.reshape(batch if solutions is None else (*batch, count))
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
@@ -440,6 +448,7 @@ class HingeNetwork:
         return ZeroPosture.of(self.arm)
 
 
+@cache
 def _compiled() -> ModuleType:
     from mmc_gym.robots import iteration
 
@@ -477,13 +486,18 @@ def _race(
 
 
 @lru_cache(maxsize=16)
-def _pool(arm: HingeArm, size: int, seed: int) -> Floats:
-    """Return postures within the limits, (size, n)."""
+def _pool(arm: HingeArm, size: int, seed: int) -> Records:
+    """Return postures within the limits, (size,)."""
     random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
     low, high = arm.limits.T
     low = np.where(np.isinf(low), np.minimum(-np.pi, high - 2 * np.pi), low)
     high = np.where(np.isinf(high), np.maximum(np.pi, low + 2 * np.pi), high)
-    return random.uniform(low, high, (size, arm.joint_count))
+    pool = np.empty(size, posture_type(arm.joint_count, arm.node_count))
+    pool["angle"] = random.uniform(low, high, (size, arm.joint_count))
+    pool["node"], _, _, hand = arm.frames(pool["angle"])
+    pool["moved"] = hand[:, :3, :3] @ arm.home[:3, :3].T
+    pool["shift"] = hand[:, :3, 3] - pool["moved"] @ arm.home[:3, 3]
+    return pool
 
 
 def _nearest(tries: Records, arm: ZeroPosture, course: Course, race: Race, count: int) -> Records:
@@ -543,4 +557,4 @@ def _rotations(rotation: Any) -> Floats:
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
     """Return a copy in float64 of a finite array whose last axes are `trailing`."""
-    return np.array(require_floats(name, value, trailing), np.float64)
+    return require_floats(name, value, trailing).astype(np.float64, copy=False)

@@ -89,6 +89,13 @@ class Race(NamedTuple):
 
 
 @lru_cache
+def posture_type(joints: int, nodes: int) -> np.dtype[np.void]:
+    """Return the type of a posture of the pool; a point x has moved to `moved` x + `shift`."""
+    shapes = {"angle": (joints,), "node": (nodes, 3), "moved": (3, 3), "shift": (3,)}
+    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
+
+
+@lru_cache
 def task_type(joints: int, nodes: int) -> np.dtype[np.void]:
     """Return the type of a task: limits, places of held nodes, rotation as a turn of the arm."""
     shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "rotation": (3, 3)}
