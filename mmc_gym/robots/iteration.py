@@ -29,6 +29,7 @@ from mmc_gym._compiling import compiled, inner, shared, sine_cosine
 
 _HELD = 1e12  # damping of a joint that rests
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
+_STRIDE = 10  # iterations between two looks at what a try still lacks
 _TOGETHER = 4  # tries of which the nearest to a given start wins
 
 
@@ -54,10 +55,10 @@ def solve(
     """Write the end of the first try to settle for each task, or the nearest of all ends.
 
     `starts` has a given start for each task, or else a row for all, to which whole turns are
-    nearest.  The first try is from the given start, the others from the pool, those first that lack
-    least.  Of four tries after a given start the nearest to it wins.
+    nearest.  The first try is from the given start, the others from one row of the pool after the
+    other, those first that lack least.  Of four tries after a given start the nearest to it wins.
     """
-    this, lacks = tries[0], np.empty(len(pool))
+    this, lacks = tries[0], np.empty(pool.shape[1])
     for t in range(len(tasks)):
         end = ends[t]
         end.rank, end.iterations = np.inf, 0
@@ -70,21 +71,23 @@ def solve(
                 _see(this, arm, course, pace)
                 pace = race.near if this.merit < race.near_start else race.quick
             else:
-                if attempt == has_start:
-                    _look(this, pool, lacks, arm, course, pace)
+                row = pool[(attempt - has_start) // len(lacks)]
+                if (attempt - has_start) % len(lacks) == 0:
+                    _look(this, row, lacks, arm, course, pace)
                 nearest = np.argmin(lacks)
                 lacks[nearest] = np.inf
-                _go_to(this, pool[nearest].angle)
+                _go_to(this, row[nearest].angle)
             _settle(this, arm, course, pace)
             end.iterations += this.iterations
             if this.rank < end.rank:
                 _keep(end, this)
             if end.rank < 0.0 and not (has_start and attempt % _TOGETHER):
                 break
-        if end.rank >= 0.0 and race.has_both:
+        if end.rank >= 0.0:
             _go_to(this, end.angle)
-            _settle(this, arm, course, race.place_first)
-            _keep(end, this)
+            _settle(this, arm, course, race.last)
+            if race.has_both or this.rank < end.rank:
+                _keep(end, this)
 
 
 @inner
@@ -117,7 +120,7 @@ def _keep(end, this):
 
 @shared
 def _look(this, pool, lacks, arm, course, pace):
-    """Find what each posture of the pool lacks; where joints are held, it has to be placed anew."""
+    """Find what postures of the pool lack; where joints are held, they have to be placed anew."""
     is_held = False
     for i in range(this.low.shape[0]):
         is_held |= this.low[i] == this.high[i]
@@ -151,7 +154,7 @@ def _settle(this, arm, course, pace):
     """Iterate until a try is near, polish it by Newton's method, and say where it has ended."""
     _begin(this)
     _see(this, arm, course, pace)
-    this.iterations = 0
+    this.iterations, before = 0, np.inf
     while this.iterations < pace.iterations and not _is_near(
         this, course.loose_far, course.loose_turn, pace
     ):
@@ -159,6 +162,10 @@ def _settle(this, arm, course, pace):
         _move(this, course, pace)
         _see(this, arm, course, pace)
         this.iterations += 1
+        if this.iterations % _STRIDE == 0:
+            if this.merit > pace.stalled * before:
+                break
+            before = this.merit
     for _ in range(pace.newton_steps):
         _estimate(this, arm, course, pace)
         _newton(this, arm, course, pace)

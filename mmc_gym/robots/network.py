@@ -85,12 +85,14 @@ Records = NDArray[np.void]
 Axis = Literal["x", "y", "z"]
 HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
-POOL = 128  # postures, of which the nearest to a task are its starts
+POOL = 128  # postures, of which the nearest to a task are its starts; where all fail, as many more
+NEAR_LIMITS = 0.2  # of these are between limits and this share of the ranges from them
 NEAR_START = 0.3  # miss of a start that has all iterations, shares of the arm's length
 QUICK_TRIES = 16  # from the pool, with little damping
 QUICK_ITERATIONS = 80  # of each at most, if there are more starts
 LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
 LOOSE_SHARE = 5e-4  # that of position for arms of more than 2 m, shares of their length
+STALLED = 0.95  # share of what a try lacks that ten iterations leave: it ends
 NEWTON_STEPS = 6
 RIDGE = 3.0  # square root of the least damping of these steps, tolerances of position
 FEW = 4  # free joints, up to which a third of them is too little damping
@@ -311,7 +313,7 @@ class HingeNetwork:
         start: ArrayLike | None = None,
         held: HeldJoints | None = None,
         points: Mapping[int, ArrayLike] | None = None,
-        starts: int = 128,
+        starts: int = 2 * POOL,
         tolerance: tuple[float, float] = (1e-3, 1e-2),
         seed: int = 0,
         iterations: int = 150,
@@ -325,10 +327,11 @@ class HingeNetwork:
     ) -> HingeSolution:
         """Return where the network settles, from many starts.
 
-        The starts are postures drawn within the limits, those nearest to the task first, and the
-        first to settle wins.  Where none does, the best is returned: places, the hand's too, as
-        near as can be, and its rotation as near as they leave it.  For tolerances below 1 mm or
-        0.01 rad, from a near `start` and in later starts, steps of Newton's method follow.
+        The starts are postures drawn within the limits, those nearest to the task first; after 128
+        come some near the limits.  The first to settle wins.  Where none does, the best is
+        returned: places, the hand's too, as near as can be, and its rotation as near as they leave
+        it.  For tolerances below 1 mm or 0.01 rad, from a near `start` and in later starts, steps
+        of Newton's method follow.
 
         Args:
             position: see `clamp`, as `rotation`, `held` and `points`.
@@ -340,7 +343,7 @@ class HingeNetwork:
                 one from the middle of their limits, which is 0 without limits.
             held: angles of joints that do not move.
             points: positions of nodes.
-            starts: at most so many, `start` among them.
+            starts: at most so many, `start` among them.  Those that get no nearer end early.
             tolerance: of position, m, and of rotation, radians: two numbers.
             seed: of the starts.
             iterations: of each start at most.
@@ -388,14 +391,14 @@ class HingeNetwork:
         kind = clamps.free_joints, clamps.has_rotation, has_place
         bounds, race = _race(self, *kind, (far, turn), iterations, starts)
         course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *bounds)
-        pool = _pool(self.arm, max(starts, POOL), seed)
+        pool = _pool(self.arm, -(-starts // POOL), seed)
         tasks, near = tasks.ravel(), near.reshape(-1, n)
         ends = np.empty((len(tasks), count), end_type(n))
         if prefer is not None or solutions is not None:
-            near = np.broadcast_to(near, (len(tasks), n))
+            angles, near = pool["angle"].reshape(-1, n), np.broadcast_to(near, (len(tasks), n))
             for row, task in enumerate(tasks):
                 tries = self._tries(np.broadcast_to(task, starts))
-                tries["angle"], tries["start"] = pool["angle"][:starts], near[row]
+                tries["angle"], tries["start"] = angles[:starts], near[row]
                 tries["angle"][0] = near[row]
                 ends[row] = _nearest(tries, clamps.arm, course, race, count)
         else:
@@ -421,7 +424,7 @@ class HingeNetwork:
         is_calm = self.damping or free_joints <= FEW
         share = self._calm_share(free_joints) if is_calm else 3 / free_joints
         weight = 2 * (self.hand_size * self._length) ** 2 if has_rotation else 0.0
-        return Pace(share, weight, iterations, newton_steps=0)
+        return Pace(share, weight, iterations, newton_steps=0, stalled=np.inf)
 
     def _calm_share(self, free_joints: int) -> float:
         """Return 1/d for starts after the first ones have failed."""
@@ -472,31 +475,40 @@ def _race(
     plain = network._pace(free_joints, has_rotation, iterations)
     near = plain._replace(newton_steps=NEWTON_STEPS)
     is_exact = far < loose or turn < LOOSE[1]
-    # A single start, such as that of an agent's step, has them all.
-    few = min(iterations, QUICK_ITERATIONS) if starts > 1 else iterations
-    quick = (near if is_exact else plain)._replace(iterations=few)
+    few = min(iterations, QUICK_ITERATIONS)
+    quick = (near if is_exact else plain)._replace(iterations=few, stalled=STALLED)
     # Those that are left are hard, such as postures with all joints at limits.
-    share = network._calm_share(free_joints)
-    calm = plain._replace(share=share, newton_steps=2 * NEWTON_STEPS)
+    last = plain._replace(share=network._calm_share(free_joints))
+    calm = last._replace(newton_steps=NEWTON_STEPS, stalled=STALLED)
     # So little weight of the rotation costs a share of the tolerance of places at most.
-    weight = min(PLACE_FIRST * far * length, plain.weight)
-    place_first = Pace(0.0, weight, iterations=0, newton_steps=PLACE_STEPS)
-    paces, near_start = (near, quick, calm, place_first), (NEAR_START * length) ** 2
-    return bounds, Race(*paces, near_start, QUICK_TRIES, starts, has_rotation and has_place)
+    weight, has_both = min(PLACE_FIRST * far * length, plain.weight), has_rotation and has_place
+    if has_both:
+        last = Pace(0.0, weight, iterations=0, newton_steps=PLACE_STEPS, stalled=np.inf)
+    elif starts == 1:
+        last = last._replace(iterations=0)
+    if starts == 1:  # such as that of an agent's step: it has all iterations
+        quick = quick._replace(iterations=iterations, stalled=np.inf)
+    paces, near_start = (near, quick, calm, last), (NEAR_START * length) ** 2
+    return bounds, Race(*paces, near_start, QUICK_TRIES, starts, has_both)
 
 
 @lru_cache(maxsize=16)
-def _pool(arm: HingeArm, size: int, seed: int) -> Records:
-    """Return postures within the limits, (size,)."""
-    random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
+def _pool(arm: HingeArm, rows: int, seed: int) -> Records:
+    """Return postures within the limits, (rows, POOL); those of the second row are near limits."""
+    random, n = np.random.default_rng([seed, POOL, 77]), arm.joint_count  # not as users draw
     low, high = arm.limits.T
     low = np.where(np.isinf(low), np.minimum(-np.pi, high - 2 * np.pi), low)
     high = np.where(np.isinf(high), np.maximum(np.pi, low + 2 * np.pi), high)
-    pool = np.empty(size, posture_type(arm.joint_count, arm.node_count))
-    pool["angle"] = random.uniform(low, high, (size, arm.joint_count))
-    pool["node"], _, _, hand = arm.frames(pool["angle"])
-    pool["moved"] = hand[:, :3, :3] @ arm.home[:3, :3].T
-    pool["shift"] = hand[:, :3, 3] - pool["moved"] @ arm.home[:3, 3]
+    angles = random.uniform(low, high, (rows, POOL, n))
+    # Seven joints have all 128 combinations of their limits.
+    is_high = random.integers(2, size=(POOL, n))
+    is_high[:, :7] = np.arange(POOL)[:, None] >> np.arange(min(n, 7)) & 1
+    limit = np.where(is_high, high, low)
+    angles[1:2] = limit + NEAR_LIMITS * (angles[1:2] - limit)
+    pool = np.empty((rows, POOL), posture_type(n, arm.node_count))
+    pool["angle"], (pool["node"], _, _, hand) = angles, arm.frames(angles)
+    pool["moved"] = hand[..., :3, :3] @ arm.home[:3, :3].T
+    pool["shift"] = hand[..., :3, 3] - pool["moved"] @ arm.home[:3, 3]
     return pool
 
 
@@ -508,8 +520,8 @@ def _nearest(tries: Records, arm: ZeroPosture, course: Course, race: Race, count
     for name in ("angle", "far", "turn"):
         nearest[name] = np.nan
     tries = tries[np.argsort(tries["rank"], kind="stable")]
-    if tries["rank"][0] >= 0 and race.has_both:
-        _compiled().settle_all(tries[:1], arm, course, race.place_first)
+    if tries["rank"][0] >= 0:
+        _compiled().settle_all(tries[:1], arm, course, race.last)
     ends = tries[list(kind.names or ())]
     nearest[0], size = ends[0], 1
     for end in ends[ends["rank"] < 0]:

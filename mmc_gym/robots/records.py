@@ -73,6 +73,7 @@ class Pace(NamedTuple):
     weight: float  #: 2 s² where the hand's rotation or a direction of it is held, otherwise 0
     iterations: int  #: at most
     newton_steps: int  #: steps of Newton's method that follow
+    stalled: float  #: share of what it lacks that ten iterations leave of a try that ends there
 
 
 class Race(NamedTuple):
@@ -81,7 +82,7 @@ class Race(NamedTuple):
     near: Pace  #: of a given start that lacks less than `near_start`
     quick: Pace  #: of the next ones
     calm: Pace  #: of those that follow
-    place_first: Pace  #: of the nearest end, where place and rotation cannot both be had
+    last: Pace  #: of the nearest end, where none has settled
     near_start: float  #: m²
     quick_tries: int
     starts: int  #: at most

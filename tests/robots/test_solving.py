@@ -336,11 +336,19 @@ def test_solutions_of_a_batch_have_an_axis_and_out_of_reach_the_first_is_the_nea
     assert np.isfinite(far.joint_angles).all(axis=-1).tolist() == [True, False]
 
 
+def test_out_of_reach_starts_that_get_no_nearer_end_early():
+    solution = HingeNetwork(PANDA).solve([0.4, 0.2, 1.5])
+    assert not solution.is_solved
+    assert solution.iterations < 256 * 50
+    longer = HingeNetwork(PANDA).solve([0.4, 0.2, 1.5], start=solution.joint_angles, starts=1)
+    assert solution.position_error - longer.position_error < 1e-6
+
+
 @pytest.mark.parametrize(
     ("task", "message"),
     [
         ({"solutions": 0}, "solutions must be a whole number of at least 1"),
-        ({"solutions": 129}, "solutions must be at most 128"),
+        ({"solutions": 257}, "solutions must be at most 256"),
         ({"prefer": np.zeros(6)}, r"prefer must be of shape \(..., 7\)"),
         ({"prefer": np.zeros(7), "start": np.zeros(7)}, "start must be without prefer"),
         ({"solutions": 2, "start": np.zeros(7)}, "start must be without prefer or solutions"),
