@@ -90,8 +90,9 @@ NEAR_LIMITS = 0.2  # of these are between limits and this share of the ranges fr
 NEAR_START = 0.3  # miss of a start that has all iterations, shares of the arm's length
 QUICK_TRIES = 16  # from the pool, with little damping
 QUICK_ITERATIONS = 80  # of each at most, if there are more starts
-LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
-LOOSE_SHARE = 5e-4  # that of position for arms of more than 2 m, shares of their length
+EXACT = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
+EXACT_SHARE = 5e-4  # that of position for arms of more than 2 m, shares of their length
+EARLY = 10, 5  # where it then begins, times these tolerances, if there are more starts
 STALLED = 0.95  # share of what a try lacks that ten iterations leave: it ends
 NEWTON_STEPS = 6
 RIDGE = 3.0  # square root of the least damping of these steps, tolerances of position
@@ -470,11 +471,13 @@ def _race(
 ) -> tuple[Tolerance, Race]:
     """Return when tries are near, and how they follow each other."""
     (far, turn), length = tolerance, network._length
-    loose = max(LOOSE[0], LOOSE_SHARE * length)
-    bounds = Tolerance(far, turn, max(far, loose), max(turn, LOOSE[1]), (RIDGE * far) ** 2)
+    exact = max(EXACT[0], EXACT_SHARE * length), EXACT[1]
+    is_exact = far < exact[0] or turn < exact[1]
+    early = EARLY if is_exact and starts > 1 else (1, 1)
+    loose = max(far, early[0] * exact[0]), max(turn, early[1] * exact[1])
+    bounds = Tolerance(far, turn, *loose, ridge=(RIDGE * far) ** 2)
     plain = network._pace(free_joints, has_rotation, iterations)
     near = plain._replace(newton_steps=NEWTON_STEPS)
-    is_exact = far < loose or turn < LOOSE[1]
     few = min(iterations, QUICK_ITERATIONS)
     quick = (near if is_exact else plain)._replace(iterations=few, stalled=STALLED)
     # Those that are left are hard, such as postures with all joints at limits.
