@@ -307,7 +307,7 @@ class HingeNetwork:
         _compiled().settle_all(tries.reshape(-1), clamps.arm, course, pace)
         return HingeState(tries["angle"].copy(), tries["velocity"].copy())
 
-    def solve(
+    def solve(  # noqa: D417  (`clamp` describes the others)
         self,
         position: ArrayLike | None = None,
         rotation: ArrayLike | None = None,
@@ -335,23 +335,16 @@ class HingeNetwork:
         of Newton's method follow.
 
         Args:
-            position: see `clamp`, as `rotation`, `held` and `points`.
-            rotation: of the hand.
+            position: see `clamp`, as all that is not here.
             start: postures (..., n) to begin with.  Other starts win only where nothing settles
                 from there in 80 iterations, or in all `iterations` where the start is near: it
                 misses by less than 0.3 of the arm.  Of four others the nearest to it wins.  Joints
                 never turn by a whole turn more than limits require: seen from `start`, or without
                 one from the middle of their limits, which is 0 without limits.
-            held: angles of joints that do not move.
-            points: positions of nodes.
             starts: at most so many, `start` among them.  Those that get no nearer end early.
             tolerance: of position, m, and of rotation, radians: two numbers.
             seed: of the starts.
             iterations: of each start at most.
-            pose: of the hand, as `direction`, `axis` and `tool` see `clamp`.
-            direction: in which an axis of the hand points.
-            axis: of the hand.
-            tool: whose point or pose the hand's stand for.
             prefer: postures (..., n).  All starts settle, and of the solutions the nearest to it
                 wins, each hinge by its nearest whole turn; a metre of a slide counts as a radian.
             solutions: so many are returned, on an axis after those of the batch, the nearest to
@@ -360,14 +353,7 @@ class HingeNetwork:
                 and not solved.
         """
         clamps = self.clamp(
-            position,
-            rotation,
-            held,
-            points,
-            pose=pose,
-            direction=direction,
-            axis=axis,
-            tool=tool,
+            position, rotation, held, points, pose=pose, direction=direction, axis=axis, tool=tool
         )
         require_whole("starts", starts)
         require_whole("iterations", iterations)
