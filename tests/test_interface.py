@@ -37,6 +37,15 @@ def arms(seed, count=5, joints=3):
     )
 
 
+def test_a_hand_that_is_seen_beyond_the_limits_is_recovered_from_its_bounded_offset():
+    layout = replace(LAYOUT, is_clipped=True)
+    angles, speeds, _, targets = arms(3)
+    hands = np.array([[9.0, 1.0], [0.5, -11.0], [-8.0, -8.0], [1.0, 0.5], [0.0, 7.5]])
+    seen = layout.encode(angles, speeds, hand=hands, target=targets / 3)
+    assert (np.abs(seen[:, -4:-2]) == 6.0).any(axis=1).tolist() == [True, True, True, False, True]
+    np.testing.assert_allclose(INTERFACE.see(seen).hand, hands, atol=1e-3)
+
+
 @given(st.integers(0, 2**31), st.integers(1, 5), st.booleans(), st.booleans())
 def test_one_arm_is_encoded_as_many_are_and_the_world_recovered(
     seed, joints, is_clipped, has_goals
@@ -74,7 +83,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(module, ar
     seen = (np.hstack([vectors.real, vectors.imag]) for vectors in seen)
     expected = (np.cos(angles), np.sin(angles), speeds, *seen)
     for observation in (longer, goals):
-        parts = (*LAYOUT.split(observation, module), LAYOUT.flatten(observation, module)[:, 13:15])
+        parts = LAYOUT.split(observation, module)
         for part, values in zip(parts, expected, strict=True):
             np.testing.assert_allclose(part, values, atol=2e-6)
     np.testing.assert_allclose(LAYOUT.flatten(goals, module), flat, atol=2e-6)

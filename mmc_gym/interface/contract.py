@@ -251,7 +251,8 @@ class ReachInterface:
         flat = self.layout.flatten(self.layout.check(observation))
         parts = self.layout.split(flat.astype(np.float64))
         joint_angles = np.arctan2(parts.sines, parts.cosines)
-        target, offset = in_the_world(np.array([parts.target, parts.offset]), joint_angles)
+        shown = np.array([parts.target, self.layout.whole_offset(parts)])
+        target, offset = in_the_world(shown, joint_angles)
         return Seen(
             joint_angles=self.within_limits(joint_angles),
             target=target,

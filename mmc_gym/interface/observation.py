@@ -30,6 +30,7 @@ class ObservationParts(NamedTuple):
     speeds: Any  #: joint velocities as fractions of their limit, (..., N)
     target: Any  #: position of the target, segment lengths, (..., 2)
     offset: Any  #: target − hand, segment lengths, (..., 2)
+    bounded: Any  #: offset / (OFFSET_SCALE + |offset|), (..., 2)
 
 
 OFFSET_SCALE = 0.05  # segment lengths
@@ -181,7 +182,21 @@ class ObservationLayout:
             speeds=posture[..., 2 * count : end],
             target=values[..., end : end + 2],
             offset=values[..., end + 2 : end + 4],
+            bounded=values[..., end + 4 : end + 6],
         )
+
+    def whole_offset(self, parts: ObservationParts) -> NDArray[np.float64]:
+        """Return the offset of observations, (..., 2); a clipped one follows from the bounded one.
+
+        A cursor may be seen farther away than an arm can reach, see `limits`.
+        """
+        offset: NDArray[np.float64] = parts.offset
+        is_clipped = (np.abs(offset) == self.limits[-3]).any(axis=-1, keepdims=True)
+        if not is_clipped.any():
+            return offset
+        share = np.linalg.norm(parts.bounded, axis=-1, keepdims=True)
+        size = OFFSET_SCALE / np.maximum(1 - share, 1e-4)
+        return np.where(is_clipped, parts.bounded * size, offset)
 
 
 def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
