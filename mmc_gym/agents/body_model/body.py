@@ -34,7 +34,8 @@ also predicts the hand: the best hypothesis times a complex factor m (a turn and
 the last five hands, with log m on a line in time.  While the rival's errors are clearly smaller,
 the body is taken to change: the rival is used, extrapolated to when a command acts, and the sums
 are forgotten fast (a variable forgetting factor; Fortescue et al. 1981).  Noise is no change,
-because under noise a line through five hands predicts worse than the sums.
+because under noise a line through five hands predicts worse than the sums.  Where the hand is
+suddenly far from where the best hypothesis expects it, all begins anew.
 
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
@@ -61,7 +62,7 @@ FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
-LEAST_RATIO, LARGEST_RATIO = 0.25, 3.5  # of accepted lengths to the given lengths
+LEAST_RATIO, LARGEST_RATIO = 0.25, 5.0  # of accepted lengths to the given lengths
 # Observations after which hypotheses are compared in every fourth control step only, and mirrored
 # cursors in every 16th.
 FREQUENT = 12
@@ -73,6 +74,7 @@ SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follo
 BEGINS_AT, ENDS_AT = 0.25, 0.75  # ratios of these errors at which a change begins and ends
 FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
 LARGEST_TREND = 0.1  # largest trend of the cursor, radians (or share of its gain) in a control step
+LOST = 0.3  # square error from which on all that is known is wrong, segment lengths²
 NEAR = 0.05  # squared distance from the centre within which errors count as shifts
 # Weights of five values that give the slope and the end of the least-squares line through them.
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
@@ -227,6 +229,10 @@ class BodyEvidence(NamedTuple):
         if any_true(changes):
             keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
             rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
+        is_lost = self._is_lost(hand, units) if follows else changes & False
+        if any_true(is_lost):
+            age, rate = np.where(is_lost, 1.0, age), np.where(is_lost, 1.0, rate)
+            keep = np.where(is_lost[:, None, None], 0.0, keep)
         sums = keep * self.sums + w[:, :, None] * z[:, None, :]
         is_given = _is_given(sums)
         change = self.change
@@ -241,6 +247,15 @@ class BodyEvidence(NamedTuple):
         part = offset * square / (square + scatter + EXACT)
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
         return BodyEvidence(age, sums, self.given_body, body, offset, scatter, best, change)
+
+    def _is_lost(self, hand: Points, units: Points) -> Bools:
+        """Return which arms look so unlike the best hypothesis that all begins anew, (n,).
+
+        They did so in the last observation, too, and the body does not change steadily.
+        """
+        error = squared(hand - self.best.seen(units))
+        is_lost: Bools = (error > LOST) & (self.change.error > SURPRISE_RATE * LOST)
+        return is_lost & ~self.change.is_on
 
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""
