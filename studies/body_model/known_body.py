@@ -51,7 +51,8 @@ class KnownBody(BodyAgent):
         facts = {field.name: getattr(given, field.name) for field in fields(given)}
         facts["servo_gain"] = self.episode.body.servo_gain
         interface = KnownServos(**facts, largest_delta=given.max_joint_delta)
-        parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
+        switches = ("identifies_body", "bridges_delay", "finds_locks", "finds_motors")
+        parts = replace(parts, **dict.fromkeys(switches, False))
         super().__init__(interface, partial(settle_network, network_of_body(interface)), parts)
         delays = self.episode.delays
         self.late = min(delays["delay"] + delays["action_delay"], LONGEST_DELAY)
@@ -113,7 +114,9 @@ class KnownBody(BodyAgent):
         """Return the locks in this control step; delayed senses show the locked angles later."""
         since = state.looks - 1 - self.lock_step
         late, seen = self.late, state.senses.posture.joint_angles
-        by_now = state.senses.delay.run_forward(self.interface, seen)
+        by_now, _ = state.senses.delay.run_forward(
+            self.interface, seen, state.senses.posture.turn, state.motors
+        )
         place = state.locks.place
         place = np.where((since <= 0)[:, None], by_now, place)
         place = np.where((since == late)[:, None], seen, place)

@@ -1,6 +1,5 @@
 """The agent with an internal model of its body: what each part identifies, and what all reach."""
 
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -14,11 +13,13 @@ from mmc_gym.agents.body_model import obstacles
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
-from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn, turn_share
+from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
 from mmc_gym.agents.body_model.imagination import within_reach
+from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
+from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.envs.perturbations import VisionDelay, VisuomotorRotation
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
@@ -27,7 +28,6 @@ from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 STEP = 0.02
 ARMS = 20
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
-DELTA = replace(INTERFACE, control="joint_delta")
 
 
 def postures(looks, seed=0):
@@ -114,11 +114,11 @@ def test_noise_is_not_taken_for_another_body():
 def test_posture_and_its_noise_are_estimated(noise):
     random, path = np.random.default_rng(2), postures(80)
     speeds = (path[1] - path[0]) / STEP
-    commands = 2 * STEP * speeds / turn_share(DELTA)
+    commanded = 2 * STEP * speeds
     seen = path + noise * random.standard_normal(path.shape)
     track = PostureTrack.start(seen[0], speeds)
     for joint_angles in seen[1:]:
-        track = track.filter(joint_angles, speeds, commands, DELTA)
+        track = track.filter(joint_angles, speeds, commanded, STEP)
     assert np.median(track.deviation) == pytest.approx(noise, rel=0.3, abs=1e-9)
     assert np.median(np.abs(track.joint_angles - path[-1])) <= 0.5 * noise + 1e-9
 
@@ -134,8 +134,7 @@ def test_commands_predict_noisy_joints_better_than_speeds_unless_a_joint_is_held
         place += turn
         angle_noise, speed_noise = random.standard_normal((2, ARMS, 1))
         seen, speeds = place + 0.05 * angle_noise, turn / STEP + 0.5 * speed_noise
-        commands = np.full((ARMS, 1), commanded) / turn_share(DELTA)
-        track = track.filter(seen, speeds, commands, DELTA)
+        track = track.filter(seen, speeds, np.full((ARMS, 1), commanded), STEP)
         errors.append(track.joint_angles - place)
     assert np.std(errors[50:]) < (0.03 if is_held else 0.012)  # by speeds alone 0.02 both
 
@@ -171,7 +170,7 @@ def test_delay_is_the_time_until_a_movement_is_felt_and_seen(late, late_sight, n
         delay = delay.record(posture.joint_angles + 1.0, posture, INTERFACE)
         turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
         before, speeds = posture, still + (turn or noise)
-        posture = before.filter(before.seen + STEP * turn, speeds, still, DELTA)
+        posture = before.filter(before.seen + STEP * turn, speeds, still, STEP)
         moved = np.array([0.01 * (look >= late_sight)])
         delay = delay.estimate(before, posture, moved, is_sharp=still[:, 0] == 0)
     assert (delay.late, delay.late + delay.lag) == (late, late_sight)
@@ -203,7 +202,8 @@ def test_noise_of_the_joints_is_neither_a_delay_nor_a_change():
 
 def last_step(before, after, commanded):
     yes = np.array([True])
-    return LastStep(before, after, np.array([commanded]), is_felt=yes, is_clear=yes)
+    turn = np.array([commanded])
+    return LastStep(before, after, turn, turn, is_felt=yes, is_clear=yes)
 
 
 def locks_after(turns, commanded, lockable=()):
@@ -212,7 +212,7 @@ def locks_after(turns, commanded, lockable=()):
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
         before, seen = posture, posture.joint_angles + turn
-        posture = before.filter(seen, turn / STEP, np.array([commanded]), DELTA)
+        posture = before.filter(seen, turn / STEP, np.array([commanded]), STEP)
         locks = locks.identify(last_step(before, posture, commanded), lockable)
         locked.append(locks.is_locked[0])
     return np.array(locked)
@@ -272,8 +272,48 @@ def test_a_load_that_gathers_speed_is_no_contact():
 
 def test_the_drive_inverts_the_servo():
     now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
-    targets, _ = Drive.start(1, 3).invert_servos(now, turn, 10 * turn, np.zeros((1, 1)), INTERFACE)
+    quiet, given_motors = np.zeros((1, 1)), Motors.start(1, 3)
+    targets, _ = Drive.start(1, 3).invert_servos(
+        now, turn, 10 * turn, quiet, INTERFACE, given_motors, before=turn
+    )
     np.testing.assert_allclose(commanded_turn(INTERFACE, now, targets), turn, rtol=1e-6)
+
+
+def turns_of(motor, steps=30, noise=0.0):
+    """Yield what is known of a motor (a, g, b) after each step."""
+    random, motors = np.random.default_rng(2), Motors.start(1, 1)
+    turn, yes = np.zeros((1, 1)), np.array([[True]])
+    for _ in range(steps):
+        commanded, before = random.uniform(-0.8, 0.8, (1, 1)), turn
+        turn = np.array([[before[0, 0], commanded[0, 0], 1.0]]) @ np.array(motor)[:, None]
+        turn += noise * random.standard_normal((1, 1))
+        motors = motors.observe(before, commanded, turn, np.full((1, 1), 0.2), yes)
+        yield motors
+
+
+MOTORS = {
+    "weak": (0.19, 0.3, 0.0),
+    "strong": (0.1, 1.3, 0.0),
+    "reversed": (0.19, -0.77, 0.0),
+    "pushed": (0.19, 0.77, 0.2),
+}
+
+
+@pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
+def test_a_motor_that_is_not_as_given_is_learned_and_inverted(motor):
+    *_, motors = turns_of(motor)
+    assert motors.is_learned.all()
+    np.testing.assert_allclose(motors.fit[0, 0], motor, atol=0.1)
+    turn, before = np.array([[0.05]]), np.array([[-0.02]])
+    command = motors.inverse(turn, before, unit=1.0)
+    np.testing.assert_allclose(motors.expected(before, command, unit=1.0), turn)
+
+
+@pytest.mark.parametrize("motor", [(0.19, 0.77, 0.0), (0.0, 0.0, 0.0)], ids=["given", "locked"])
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_a_given_or_locked_motor_is_not_learned(motor, noise):
+    if any(motor) or not noise:  # a locked joint does not turn by chance
+        assert not any(motors.is_learned.any() for motors in turns_of(motor, 60, noise))
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
@@ -304,7 +344,7 @@ def test_actions_are_valid_whatever_is_observed(count, seed, build):
 
 
 def episodes(build, count=50, parts=ALL_PARTS, id="MMCReach-v0", **arguments):
-    envs = gym.make_vec(id, num_envs=count, control="joint_position", **arguments)
+    envs = gym.make_vec(id, num_envs=count, **{"control": "joint_position", **arguments})
     agent = build(ReachInterface.of(envs), parts)
     return list(run_episodes(agent, envs.unwrapped, episode_seeds(4, count), records_effort=False))
 
@@ -347,6 +387,41 @@ def test_a_body_that_is_not_as_given_reaches_its_targets(build, arguments, count
     assert success(episodes(build, count, **arguments)) >= least
 
 
+FAULTS = [
+    "motor-gain-0.7",
+    "motor-gain-0.4",
+    "motor-gain-0.4-of-1",
+    "motor-gain-0.4-of-2",
+    "motor-gain--1-of-3",
+    "motor-offset-0.1-of-2",
+    "motor-offset-0.3-of-2",
+    "servo-gain-0.8",
+    "servo-gain-0.5",
+    "servo-gain-0.3",
+    "dead-zone-0.1",
+    "backlash-0.1",
+    "dropped-actions-0.3",
+    "held-actions-0.3",
+    "repeated-actions-0.3",
+    "joint-friction-0.3",
+    "joint-damping-0.3",
+    "repeated-observations-0.9",
+    "delay-100-at-0.1",
+    "delay-160-at-0.4",
+    "delay-200-over-1",
+    "gain-4",
+    "rotation-40-at-0.5+rotation--80-at-1",
+]
+
+
+@pytest.mark.parametrize("fault", [pytest.param(name, marks=pytest.mark.slow) for name in FAULTS])
+def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault):
+    options = {"control": "joint_delta", "engine": "analytic", "perturbations": fault.split("+")}
+    builds = mmc_body, lambda interface, _: dynamic_mmc(interface)
+    adapts, fixed = (success(episodes(build, 50, **options)) for build in builds)
+    assert adapts >= max(fixed - 0.02, 0.9)
+
+
 @cache
 def actions_of(parts, perturbations, control):
     """Actions of an agent of these parts in 10 arms, (steps, arms, 3)."""
@@ -363,6 +438,8 @@ def actions_of(parts, perturbations, control):
         ("bridges_delay", ("rotation-30", "locks-2"), 0.0),
         ("identifies_body", ("delay-200", "locks-2"), 0.0),
         ("follows_changes", ("delay-200", "rotation-30"), 0.0),
+        # Where torque is at its limit, a motor may seem to be another one.
+        ("finds_motors", ("delay-200", "rotation-30"), 0.2),
         ("finds_locks", ("delay-200", "rotation-30"), 0.0),
         ("avoids", ("rotation-30", "longer-20"), 0.0),
     ],
@@ -403,9 +480,9 @@ def test_noise_and_reach_of_one_arm_leave_all_bits_of_another():
     after = angles + 0.01 * (speeds + speeds[::-1])
     start = PostureTrack.start(angles, speeds)
     turn = 0.02 * speeds
-    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, DELTA)
+    many = start.filter(after + noisy * (np.arange(40) % 2)[:, None], speeds[::-1], turn, STEP)
     single = PostureTrack.start(angles[:1], speeds[:1])
-    alone = single.filter(after[:1], speeds[-1:], turn[:1], DELTA)
+    alone = single.filter(after[:1], speeds[-1:], turn[:1], STEP)
     np.testing.assert_array_equal(many.joint_angles[:1], alone.joint_angles)
     aims, lengths = random.uniform(-4, 4, (40, 2)) @ [1, 1j], np.ones((40, 3))
     is_within = np.abs(aims) < 2.9

@@ -1,12 +1,13 @@
 """Agents with an internal model of their body, made of parts.
 
-    observation → senses → body → imagination → obstacles → drive → action
+    observation → senses → body → imagination → obstacles → drive → motors → action
 
 - `senses`: where the joints and the target are, despite noise, and how late they are seen;
 - `body`: segment lengths, a turned cursor, and joints that are locked;
 - `imagination`: a posture with the hand at the target, from an internal model;
 - `obstacles`: remembered once they are felt, and routes round them;
 - `drive`: joint targets on the way there;
+- `motors`: what commands really do to joints, and which command turns them as they should;
 - `memory`: what is learned from movement to movement, if anything.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two
@@ -28,7 +29,13 @@ from mmc_gym.agents.base import FeedbackAgent, all_true, any_true, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
-from mmc_gym.agents.body_model.forward_model import Response, as_points, command_of, hand
+from mmc_gym.agents.body_model.forward_model import (
+    Response,
+    as_points,
+    command_of,
+    full_turn,
+    hand,
+)
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
     InternalModel,
@@ -38,9 +45,10 @@ from mmc_gym.agents.body_model.imagination import (
     within_reach,
 )
 from mmc_gym.agents.body_model.memory import Memory
+from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.senses import LONGEST_DELAY, Senses
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -60,6 +68,7 @@ class BodyState(NamedTuple):
     locks: Locks
     contacts: Contacts
     route: Route
+    motors: Motors
     drive: Drive
     memory: Memory
     response: Response
@@ -82,6 +91,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         super().__init__(interface)
         self.parts, self.subjects = parts, subjects
         self.has_own_act = type(interface).act is not ReachInterface.act
+        # A movement that begins slowly shows how late it is too late to learn motors from it.
+        is_fast, has_servos = parts.vigour == 1, not (self.has_own_act or interface.has_drive)
+        drives = parts.drives and has_servos and is_fast and not parts.learns
+        self.finds_motors = parts.finds_motors and drives
         # Squared distances from each joint to the hand of a stretched arm.
         self._levers = np.cumsum(interface.segment_lengths[::-1])[::-1] ** 2
         self.imagination = Imagination(interface, model, parts.imagines)
@@ -98,6 +111,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             locks=Locks.start(joint_angles),
             contacts=Contacts.start(arms, joints),
             route=Route.start(joint_angles, as_points(sensed.target)),
+            motors=Motors.start(arms, joints),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
             response=Response.start(arms, joints, LONGEST_DELAY if self.has_own_act else 0),
@@ -121,10 +135,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.learns:
             state = self._begin_movements(state, seen)
         state = self._observe(state, seen)
-        angles, speeds = self._predict_now(state, seen)
+        angles, speeds, before = self._predict_now(state, seen)
         problem = self._forecast(state, angles)
         state = state._replace(route=self._plan_route(state, problem))
-        joint_targets, state = self._drive(state, problem)
+        joint_targets, state = self._drive(state, problem, before)
         now = Seen(problem.joint_angles, seen.target, speeds, seen.hand)
         action = self.interface.act(joint_targets, now)
         if self.learns:
@@ -171,8 +185,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
         effect of an older command; joints that do not turn are locked; joints that turn slowly bear
         a load; an obstacle stops one point of the arm, and then no load slowed the joints.
         """
-        senses, step = state.senses.update(seen, self.interface, self.parts)
+        motors, drive = state.motors, state.drive
+        senses, step = state.senses.update(seen, self.interface, self.parts, motors)
         response, locks = state.response, state.locks
+        if self.finds_motors:
+            motors, drive = self._identify_motors(motors, drive, step)
         if self.has_own_act:
             delay = senses.delay
             before = state.senses.posture.speeds
@@ -180,7 +197,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.parts.finds_locks:
             locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
         recovers = senses.target.is_moving
-        drive = state.drive.estimate_acceleration(step, recovers, self.interface)
+        drive = drive.estimate_acceleration(step, recovers, self.interface, motors)
         contacts = state.contacts
         if self.parts.avoids:
             counts = step.is_clear & ~locks.is_locked.any(axis=-1)
@@ -195,9 +212,28 @@ class BodyAgent(FeedbackAgent[BodyState]):
             senses=senses,
             locks=locks,
             contacts=contacts,
+            motors=motors,
             drive=drive,
             response=response,
         )
+
+    def _identify_motors(
+        self, motors: Motors, drive: Drive, step: LastStep
+    ) -> tuple[Motors, Drive]:
+        """Return the motors after a control step, and the drive, anew where other motors act."""
+        unit = full_turn(self.interface)
+        strength = drive.acceleration * self.interface.control_step**2 / unit
+        before, commanded, turn = (
+            step.before.turn / unit,
+            step.as_given / unit,
+            step.after.turn / unit,
+        )
+        after = motors.observe(before, commanded, turn, strength, step.is_felt[:, None])
+        begins = after.is_learned & ~motors.is_learned
+        if any_true(begins):
+            strength = np.where(begins, STRONGEST, drive.acceleration)
+            drive = drive._replace(acceleration=strength)
+        return after, drive
 
     def _identify_body(self, state: BodyState) -> BodyState:
         if not self.parts.identifies_body:
@@ -212,15 +248,18 @@ class BodyAgent(FeedbackAgent[BodyState]):
         evidence = state.evidence.add(joint_angles, hands, follows, mirrors, blur)
         return state._replace(evidence=evidence)
 
-    def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats]:
-        """Return angles and speeds of the joints now; late or noisy angles are corrected."""
-        angles, speeds = state.senses.posture.joint_angles, seen.joint_speeds
+    def _predict_now(self, state: BodyState, seen: Seen) -> tuple[Floats, Floats, Floats]:
+        """Return angles, speeds and last turns of the joints now, corrected for noise and delay."""
+        posture, speeds = state.senses.posture, seen.joint_speeds
+        angles, turn = posture.joint_angles, posture.turn
         delay, interface = state.senses.delay, self.interface
         if not any_true(delay.late):
-            return angles, speeds
+            return angles, speeds, turn
         if not self.has_own_act:
-            return delay.run_forward(interface, angles), speeds
-        return state.response.run_forward(angles, speeds, delay.late, interface.control_step)
+            angles, turn = delay.run_forward(interface, angles, turn, state.motors)
+            return angles, speeds, turn
+        step = interface.control_step
+        return *state.response.run_forward(angles, speeds, delay.late, step), turn
 
     def _forecast(self, state: BodyState, now: Floats) -> ReachProblem:
         """Return where the joints are now, and where the hand should be when a command acts."""
@@ -256,14 +295,16 @@ class BodyAgent(FeedbackAgent[BodyState]):
             goal_turn = np.where(follows[:, None], turn, goal_turn)
         return route._replace(aim=aim, goal_turn=goal_turn, begins=begins | is_next_leg)
 
-    def _drive(self, state: BodyState, problem: ReachProblem) -> tuple[Floats, BodyState]:
-        """Return joint targets, and the state after they were sent."""
+    def _drive(
+        self, state: BodyState, problem: ReachProblem, before: Floats
+    ) -> tuple[Floats, BodyState]:
+        """Return joint targets, and the state after they were sent; joints turned `before`."""
         interface, now = self.interface, problem.joint_angles
         left = interface.turn(now, state.route.next)
         joint_targets: Floats = now + left
         drive, memory = state.drive, state.memory
         if self.parts.drives and not interface.has_drive:
-            joint_targets, drive, memory = self._invert_servos(state, problem, left)
+            joint_targets, drive, memory = self._invert_servos(state, problem, left, before)
         if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
             push = 0.0 if interface.has_drive else PUSH
@@ -275,7 +316,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return joint_targets, state._replace(senses=senses, drive=drive, memory=memory)
 
     def _invert_servos(
-        self, state: BodyState, problem: ReachProblem, left: Floats
+        self, state: BodyState, problem: ReachProblem, left: Floats, before: Floats
     ) -> tuple[Floats, Drive, Memory]:
         """Return the joint targets that make the servos turn the joints as they should."""
         memory, noise = state.memory, state.senses.posture.deviation
@@ -284,7 +325,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
             is_early = 2 * drive.elapsed <= drive.duration
             turn, memory = memory.record_drift(problem, is_early).correct_drift(turn, problem)
         now = problem.joint_angles
-        joint_targets, drive = drive.invert_servos(now, turn, left, noise, self.interface)
+        late = state.senses.delay.late[:, None]
+        if any_true(late):  # the last turn is too uncertain: as if joints turned so already
+            before = np.where(late > 0, turn, before)
+        joint_targets, drive = drive.invert_servos(
+            now, turn, left, noise, self.interface, state.motors, before
+        )
         return joint_targets, drive, memory
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:

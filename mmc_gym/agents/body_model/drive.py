@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import Bools, bounded, hand, turn_share
+from mmc_gym.agents.body_model.forward_model import Bools, bounded, full_turn, hand, turn_share
+from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.agents.planners import AVERAGE_SPEED, BASE_DURATION
 from mmc_gym.geometry import Floats
@@ -59,7 +60,7 @@ class Drive(NamedTuple):
         return cls(np.full_like(still, STRONGEST), lead=still, elapsed=zero, duration=zero)
 
     def estimate_acceleration(
-        self, step: LastStep, recovers: Bools, interface: ReachInterface
+        self, step: LastStep, recovers: Bools, interface: ReachInterface, motors: Motors
     ) -> Drive:
         """Return the drive with the acceleration of the last control step, where it is clear.
 
@@ -69,7 +70,12 @@ class Drive(NamedTuple):
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds
         lacks = bounded(gain * (self.lead - posture.turn), limit) - speeds
+        if any_true(motors.is_learned):
+            speed = step.commanded / interface.control_step
+            lacked = np.where(motors.is_learned, speed - before.speeds, lacked)
+            lacks = np.where(motors.is_learned, speed - speeds, lacks)
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
+        saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
         saturates &= step.is_clear[:, None]
         if not any_true(saturates) and not any_true(recovers):
             return self
@@ -131,7 +137,14 @@ class Drive(NamedTuple):
         return (before + np.clip(part, 0.0, 1.0)) / (last + 1)
 
     def invert_servos(
-        self, posture: Floats, turn: Floats, left: Floats, noise: Floats, interface: ReachInterface
+        self,
+        posture: Floats,
+        turn: Floats,
+        left: Floats,
+        noise: Floats,
+        interface: ReachInterface,
+        motors: Motors,
+        before: Floats,
     ) -> tuple[Floats, Drive]:
         """Return joint targets that turn joints by `turn`, and the drive.
 
@@ -145,6 +158,11 @@ class Drive(NamedTuple):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
             lead = np.where(noise > 0, left + trust * (lead - left), lead)
+        if any_true(motors.is_learned):
+            unit, part = full_turn(interface), turn_share(interface)
+            if any_true(noise):
+                turn = np.where(noise > 0, part * left + trust * (turn - part * left), turn)
+            lead = np.where(motors.is_learned, motors.inverse(turn, before, unit) / part, lead)
         is_limited = interface.control != "joint_position"  # the action is a lead, at most this one
         lead = bounded(lead, interface.max_joint_delta if is_limited else LARGEST_LEAD)
         return posture + lead, self._replace(lead=lead)

@@ -112,7 +112,12 @@ def turn_share(interface: ReachInterface) -> float:
     return gain * step if interface.control == "joint_velocity" else 1 - math.exp(-gain * step)
 
 
-def bounded(values: Floats, most: float) -> Floats:
+def full_turn(interface: ReachInterface) -> float:
+    """Return how far a joint turns in a control step at full speed, radians."""
+    return interface.speed_limit * interface.control_step
+
+
+def bounded(values: Floats, most: float | Floats) -> Floats:
     """Return values clipped to ±most: np.clip takes twice as long for few arms."""
     return np.minimum(np.maximum(values, -most), most)
 

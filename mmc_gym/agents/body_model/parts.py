@@ -23,6 +23,7 @@ class Parts:
     identifies_body: bool = True
     #: whether changes of lengths and cursor within a movement are followed, see `body_model.body`
     follows_changes: bool = True
+    finds_motors: bool = True  #: whether it is learned what commands really do to joints
     finds_locks: bool = True  #: whether locked joints are identified
     imagines: bool = True  #: whether several models settle; else one, from the present posture
     drives: bool = True  #: whether the servos are inverted; else they get the imagined posture

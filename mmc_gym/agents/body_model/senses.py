@@ -30,7 +30,8 @@ Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2
 **Delay.**  It is the time from the first command that should be felt to the first movement.  An old
 posture is run forward through the commands sent since (Miall et al. 1993).  Hand and target may be
 seen later than joints are felt: until the hand first moves.  A late hand belongs to the posture of
-its time.
+its time.  A moving arm never looks the same twice, so repeated observations show that the delay
+grows, or that some are lost, see `Senses._relate`.
 
 Literature: Morrison (1969), Introduction to sequential smoothing and prediction.  Brookner (1998),
 Tracking and Kalman filtering made easy.  Miall et al. (1993), J. Motor Behavior 25, 203–216.
@@ -49,8 +50,10 @@ from mmc_gym.agents.body_model.forward_model import (
     as_points,
     command_of,
     commanded_turn,
+    full_turn,
     squared,
 )
+from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -71,7 +74,7 @@ TARGET_JUMP = 0.15  # a target that is farther from its prediction has jumped, s
 SETTLED = 4  # observations after a jump until the third difference is noise alone
 SAME = 1e-5  # resolution of observed positions (float32), segment lengths
 
-LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
+LONGEST_DELAY = 32  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
 ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
@@ -81,6 +84,7 @@ TURNED = 1e-3  # a turn of a joint that moves the hand, radians
 TURNED_PER_NOISE = 4.0  # what noise of the joint angles adds to it
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
 CLEARLY = 5.0  # a commanded turn of this many times the onset should be felt
+LATER = 1e-3  # square turns by which one step explains a turn better than several, full turns
 EARLY = 6  # observations in which noise may still be taken for a movement
 
 
@@ -93,18 +97,25 @@ class Senses(NamedTuple):
     hand: Points  # as last seen
     is_hidden: Bools  # whether the hand is not seen now, (n,)
     postures: Floats  # joint angles, the latest last, (n, LONGEST_DELAY + 1, N)
+    seen: Floats  # joint angles, speeds and hand as seen, likewise
+    repeats: Floats  # observations in turn that were seen before, (n,)
+    is_later: Bools  # whether any of these was seen before the last one, (n,)
 
     @classmethod
     def start(cls, interface: ReachInterface, sensed: Sensed) -> Senses:
         """Return the senses after the first observation, of arms at rest."""
         joint_angles = sensed.joint_angles
+        postures = np.repeat(joint_angles[:, None], LONGEST_DELAY + 1, axis=1)
         return cls(
             PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
             TargetTrack.start(as_points(sensed.target)),
             Delay.start(command_of(interface, joint_angles, joint_angles)),
             np.zeros(len(joint_angles), complex),
             np.zeros(len(joint_angles), bool),
-            np.repeat(joint_angles[:, None], LONGEST_DELAY + 1, axis=1),
+            postures,
+            np.full((*postures.shape[:2], 2 * joint_angles.shape[1] + 2), np.inf),
+            np.zeros(len(joint_angles)),
+            np.zeros(len(joint_angles), bool),
         )
 
     def look(self, seen: Seen) -> Senses:
@@ -123,39 +134,103 @@ class Senses(NamedTuple):
         return is_hidden
 
     def update(
-        self, seen: Seen, interface: ReachInterface, parts: Parts
+        self, seen: Seen, interface: ReachInterface, parts: Parts, motors: Motors
     ) -> tuple[Senses, LastStep]:
         """Return the senses after one more observation, and what it shows of the last step."""
         joint_angles, speeds = seen.joint_angles, seen.joint_speeds
         place, hand = as_points(seen.target), as_points(seen.hand)
-        delay, commands = self.delay, self.delay.commands_seen()
+        delay, is_again = self.delay, self.repeats < 0
+        history = self.seen, self.repeats, self.is_later
+        if parts.bridges_delay:
+            delay, is_again, history = self._relate(seen, interface)
+        turns = self._commanded_turns(delay, interface, motors)
         if parts.filters:
-            posture = self.posture.filter(joint_angles, speeds, commands, interface)
+            posture = self.posture.filter(joint_angles, speeds, turns[1], interface.control_step)
             target = self.target.filter(place, interface.control_step)
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
+        if any_true(is_again | (self.repeats > 0)):
+            posture = self._after_repeats(seen, posture, is_again, interface.control_step)
         if not all_true(posture.age > EARLY) or not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
             delay = delay.estimate(self.posture, posture, moved, is_sharp)
-            commands = delay.commands_seen()
+            turns = self._commanded_turns(delay, interface, motors)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
-            commands = delay.commands_seen()
+            turns = self._commanded_turns(delay, interface, motors)
         postures = self.postures
         if delay.may_lag:
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
         is_hidden = self._hides(hand, joint_angles, posture)
+        is_regular = ~is_again & (self.repeats == 0)
         step = LastStep(
             before=self.posture,
             after=posture,
-            commanded=commanded_turn(interface, self.posture.joint_angles, commands),
-            is_felt=delay.is_felt,
-            is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR),
+            as_given=turns[0],
+            commanded=turns[1],
+            is_felt=delay.is_felt & is_regular,
+            is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR) & is_regular,
         )
-        return Senses(posture, target, delay, hand, is_hidden, postures), step
+        return Senses(posture, target, delay, hand, is_hidden, postures, *history), step
+
+    def _commanded_turns(
+        self, delay: Delay, interface: ReachInterface, motors: Motors
+    ) -> tuple[Floats, Floats]:
+        """Return how far the command should have turned joints as given, and by their motors."""
+        posture = self.posture
+        as_given = commanded_turn(interface, posture.joint_angles, delay.commands_seen())
+        return as_given, motors.expected(posture.turn, as_given, full_turn(interface))
+
+    def _after_repeats(
+        self, seen: Seen, posture: PostureTrack, is_again: Bools, control_step: float
+    ) -> PostureTrack:
+        """Return the posture where observations repeat (`is_again`, (n,)), or did so until now.
+
+        A repeated one tells nothing.  After it, joints may have turned by several steps, which is
+        no noise, and their last turn follows from their speeds.
+        """
+        ends = (self.repeats > 0) & ~is_again
+        is_exact = ends & (self.posture.noise[:, 0] == 0)
+        if any_true(is_exact):
+            exact = self.posture.accept(seen.joint_angles, seen.joint_speeds)
+            posture = where(is_exact, exact, posture)
+        is_lost = (ends & ~self.is_later)[:, None]
+        turn = np.where(is_lost, seen.joint_speeds * control_step, posture.turn)
+        return where(is_again, self.posture, posture._replace(turn=turn))
+
+    def _relate(
+        self, seen: Seen, interface: ReachInterface
+    ) -> tuple[Delay, Bools, tuple[Floats, Floats, Bools]]:
+        """Return the delay after an observation, whether that was seen before, and the history.
+
+        A moving arm never looks the same twice, so an observation that was seen before tells
+        nothing new, and the arm is seen later by a control step.  It was seen even before the last
+        one if it stays later.  If it only repeats the last one, the next tells by its turn, and by
+        the speeds, whether what was between is lost or still to come.
+        """
+        angles, delay = seen.joint_angles, self.delay
+        row = np.concatenate([angles, seen.joint_speeds, seen.hand], axis=-1)
+        same = (self.seen == row[:, None]).all(axis=-1)
+        moves = np.abs(seen.joint_speeds).max(axis=-1) > ONSET
+        is_again = same.any(axis=-1) & moves & delay.is_felt
+        repeats, is_later, late = self.repeats * is_again, self.is_later & is_again, delay.late
+        if any_true(is_again | (self.repeats > 0)):
+            is_later |= is_again & ~same[:, -1]
+            repeats = repeats + is_again
+            ends = (self.repeats > 0) & ~is_again & ~self.is_later
+            turned = wrap_angle(angles - self.posture.seen)
+            step = interface.control_step / 2 * (seen.joint_speeds + self.posture.speeds)
+            steps = 1 + self.repeats[:, None]
+            nearer = (turned - steps * step) ** 2 - (turned - step) ** 2
+            lost = ends & (nearer.sum(axis=-1) < LATER * full_turn(interface) ** 2)
+            late = np.where(is_again, np.minimum(late + 1, LONGEST_DELAY), late)
+            late = np.where(lost, np.maximum(late - self.repeats, 0), late)
+            delay = delay._replace(late=late, late_sight=delay.late_sight + late - delay.late)
+        latest = np.concatenate([self.seen[:, 1:], row[:, None]], axis=1)
+        return delay, is_again, (latest, repeats, is_later)
 
     @property
     def of_hand(self) -> Floats:
@@ -177,7 +252,8 @@ class LastStep(NamedTuple):
 
     before: PostureTrack
     after: PostureTrack
-    commanded: Floats  # how far the command should have turned the joints
+    as_given: Floats  # how far the command should have turned joints with the given servos
+    commanded: Floats  # and how far, by what is known of the motors
     is_felt: Bools  # whether a movement has been seen in this episode, (n,)
     is_clear: Bools  # whether the arm is seen in time and without noise, (n,)
 
@@ -201,10 +277,10 @@ class PostureTrack(NamedTuple):
         return cls(joint_angles, still, joint_angles, speeds, none, still, still, age=none + 1)
 
     def filter(
-        self, joint_angles: Floats, speeds: Floats, commands: Floats, interface: ReachInterface
+        self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
     ) -> PostureTrack:
-        """Return the estimate after one more observation, a control step and commands later."""
-        half = interface.control_step / 2
+        """Return the estimate after one more observation, and turns that were commanded."""
+        half = control_step / 2
         turn: Floats = half * (speeds + self.speeds)
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
@@ -215,7 +291,6 @@ class PostureTrack(NamedTuple):
         median = np.minimum(np.maximum(median, 0.0), LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
-        commanded = commanded_turn(interface, self.joint_angles, commands)
         of_speeds = (unclear * unclear).sum(axis=-1, keepdims=True) / unclear.shape[-1]
         of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
         of_command += LEAST_ERROR**2
@@ -437,12 +512,17 @@ class Delay(NamedTuple):
         steps = self.late.astype(np.intp)
         return self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
 
-    def run_forward(self, interface: ReachInterface, joint_angles: Floats) -> Floats:
-        """Predict where joints are now from the angles at which they were last seen."""
+    def run_forward(
+        self, interface: ReachInterface, joint_angles: Floats, turn: Floats, motors: Motors
+    ) -> tuple[Floats, Floats]:
+        """Predict where joints are now, and their turn, from when they were last seen."""
         for back in range(int(self.late.max()), 0, -1):
-            turn = commanded_turn(interface, joint_angles, self.commands[:, -back])
-            joint_angles = joint_angles + np.where((back <= self.late)[:, None], turn, 0.0)
-        return joint_angles
+            asked = commanded_turn(interface, joint_angles, self.commands[:, -back])
+            after = motors.expected(turn, asked, full_turn(interface))
+            is_due = (back <= self.late)[:, None]
+            joint_angles = joint_angles + np.where(is_due, after, 0.0)
+            turn = np.where(is_due, after, turn)
+        return joint_angles, turn
 
 
 def _onset(posture: PostureTrack) -> Floats:

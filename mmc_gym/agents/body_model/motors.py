@@ -1,0 +1,107 @@
+"""Motors: what commands really do to joints, where that is not what the given servo does.
+
+By the model of `commanded_turn` a command should turn a joint by u in a control step.  It turns by
+
+    v′ = a v + g u + b
+
+where v is its turn in the step before: a is what lasts of that, g the strength of the motor and its
+sign, b a push.  Weak, strong and reversed motors, other servos, pushes and dead zones are all in
+these three numbers.  They follow from the control steps by recursive least squares that forget,
+
+    x = (v, u, 1),   v̂ = a v + g u + b,   w = 1 / (1 + (v̂ − v)² / V²)
+    S = Σ λ^k w x xᵀ,   r = Σ λ^k w x (v′ − a₀ v − g₀ u)
+    (a, g, b) = (a₀, g₀, 0) + (S + Λ)⁻¹ r
+
+where a₀ and g₀ are of the given servo.  Torque is limited, and no linear motor shows that: joints
+with a load lag behind, and what is learned from that is wrong near the goal.  So steps in which a
+turn should change much have a small weight w, and what is learned acts only where it predicts
+clearly better than the given servo, with its torque limited or not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mmc_gym.agents.base import any_true
+from mmc_gym.agents.body_model.forward_model import Bools, bounded
+from mmc_gym.geometry import Floats
+
+GIVEN = np.array([0.19, 0.77, 0.0])  # a₀, g₀ and b of the given servo
+RIDGE = np.array([0.5, 0.01, 1.0])  # Λ, in full turns squared
+KEEP = 0.95  # λ: share of the sums that is left after a control step
+CHANGE = 0.2  # V: change of a turn from which on torque may be at its limit, full turns
+RATE = 0.2  # rate of the running square errors
+WORSE = 4.0  # ratio of the given servo's square error to that learned from which on the latter acts
+STAYS = 0.25  # and down to which it still does
+LARGEST = 0.5  # largest square error, full turns squared
+SMALL = 2e-4  # square error that is as good as none, full turns squared
+LEAST_STRENGTH = 0.12  # |g| of a motor that is used: a weaker one is locked
+LEAST_CHANGE = 0.1  # change of a turn that a given servo always can, full turns
+
+
+class Motors(NamedTuple):
+    """What is known of the motors of n arms with N joints, in turns at full speed."""
+
+    squares: Floats  # S, (n, N, 3, 3)
+    products: Floats  # r, (n, N, 3)
+    fit: Floats  # a, g and b, (n, N, 3)
+    errors: Floats  # running square errors of the given servo and of what is learned, (n, N, 2)
+    is_learned: Bools  # whether what is learned is used, (n, N)
+
+    @classmethod
+    def start(cls, arms: int, joints: int) -> Motors:
+        """Return what is known before a movement."""
+        sums = np.zeros((arms, joints, 3))
+        errors = np.zeros((arms, joints, 2))
+        return cls(np.zeros((*sums.shape, 3)), sums, sums + GIVEN, errors, errors[..., 0] > 0)
+
+    def observe(
+        self, before: Floats, commanded: Floats, turn: Floats, strength: Floats, counts: Bools
+    ) -> Motors:
+        """Return the motors after a control step, all in full turns, (n, N); some count, (n, 1).
+
+        Joints turned `before`, and now by `turn`.  `strength` is by how much a given servo changes
+        a turn at most, as far as is known.
+        """
+        x = np.stack([before, commanded, np.ones_like(turn)], axis=-1)
+        given, learned = (x * GIVEN).sum(axis=-1), (x * self.fit).sum(axis=-1)
+        most: Floats = np.maximum(strength, LEAST_CHANGE)
+        limited = before + bounded(given - before, most)
+        weight = counts / (1 + ((learned - before) / CHANGE) ** 2)
+        error = np.minimum(np.abs(turn - given), np.abs(turn - limited))
+        both = np.stack([error, turn - learned], axis=-1) ** 2
+        weight = weight[..., None]
+        errors = self.errors + RATE * weight * (np.minimum(both, LARGEST) - self.errors)
+        keep = np.where(counts, KEEP, 1.0)[..., None]
+        squares = keep[..., None] * self.squares + (weight * x)[..., None] * x[..., None, :]
+        products = keep * self.products + weight * x * (turn - given)[..., None]
+        fit = GIVEN + np.linalg.solve(squares + np.diag(RIDGE), products[..., None])[..., 0]
+        ratio = np.where(self.is_learned, STAYS, WORSE)
+        is_better = errors[..., 0] > ratio * (errors[..., 1] + SMALL)
+        is_learned = is_better & (np.abs(fit[..., 1]) > LEAST_STRENGTH)
+        return Motors(squares, products, fit, errors, is_learned)
+
+    @property
+    def differ(self) -> Bools:
+        """Which motors are not as given, or bear a load, (n, N)."""
+        differ: Bools = self.errors[..., 0] > SMALL
+        return differ
+
+    def expected(self, before: Floats, commanded: Floats, unit: float) -> Floats:
+        """Return how far joints turn by a command, radians, where that is learned; else as given.
+
+        `unit` is a full turn, radians.
+        """
+        if not any_true(self.is_learned):
+            return commanded
+        lasting, gain, push = np.moveaxis(self.fit, -1, 0)
+        turn = lasting * before + gain * commanded + push * unit
+        return np.where(self.is_learned, turn, commanded)
+
+    def inverse(self, turn: Floats, before: Floats, unit: float) -> Floats:
+        """Return the command for a turn by what is learned, radians."""
+        lasting, gain, push = np.moveaxis(self.fit, -1, 0)
+        gain = np.copysign(np.maximum(np.abs(gain), LEAST_STRENGTH), gain)
+        return (turn - lasting * before - push * unit) / gain
