@@ -267,7 +267,9 @@ def targets_from(
         x, y = hands
         targets = cursor.at(x, y, (x, y))
         hands = cursor.hand(*targets)
-    for x, y in (targets, hands) if cursor is not None or base.any() else ():
+    # A locked joint may let the hand reach beyond the ring, which the given arm narrows.
+    is_within = not base.any() and (places[:, 2] >= inner).all() and (places[:, 3] <= outer).all()
+    for x, y in () if cursor is None and is_within else (targets, hands):
         # Not numpy's root, which may differ in the last bit.
         radii = np.array([*map(math.hypot, x.tolist(), y.tolist())])
         is_reached &= (inner - slack <= radii) & (radii <= outer + slack)

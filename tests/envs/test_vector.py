@@ -21,6 +21,7 @@ from mmc_gym.envs.names import TASKS
 from mmc_gym.envs.perturbations import HandMass, LockedJoint, SegmentLength, VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.vector import MMCReachVectorEnv
+from mmc_gym.geometry import reachable_radii
 from tests.envs.conftest import LIMITS, RANGES, random_actions, same
 
 COUNT = 5
@@ -151,6 +152,26 @@ def test_it_returns_what_single_environments_return(name, arguments, mode, engin
             assert reset_both(np.arange(COUNT) % 2 == 0, seed=[1, 2, 3, 4, 5])
             rests &= np.arange(COUNT) % 2 == 1
     assert are_successes.any() == arguments.get("terminate_on_success", False)
+
+
+@pytest.mark.parametrize(
+    ("perturbations", "lengths"),
+    [
+        (["longer-15", "locked-3"], (1.0, 1.0, 1.0)),
+        (["longer-15", "locked-2"], (1.0, 1.0, 1.0)),
+        (["longer-50", "locked-3"], (1.0, 3.0, 1.0)),
+    ],
+)
+def test_targets_stay_in_reach_of_the_given_arm_when_a_joint_is_locked(perturbations, lengths):
+    """The rigid pieces of a longer arm may reach beyond the ring of the given arm."""
+    arguments = {"perturbations": perturbations, "segment_lengths": lengths}
+    native = make_native(count=50, **arguments)
+    sync = mmc_gym.make_vec("random", 50, **arguments, vectorization_mode="sync")
+    first = native.reset(seed=3)
+    distances = np.hypot(*first[1]["target"].T)
+    inner, outer = reachable_radii(lengths)
+    assert inner <= distances.min() <= distances.max() <= outer
+    assert same(first, sync.reset(seed=3))
 
 
 @pytest.mark.parametrize("arguments", [{}, {"engine": "analytic"}, {"perturbations": "delay-40"}])
