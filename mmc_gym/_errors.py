@@ -178,13 +178,13 @@ def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArr
     if array.shape[max(0, array.ndim - len(trailing)) :] != trailing:  # to tell it takes a while
         accepted = f"of shape (..., {', '.join(map(str, trailing))})"
         require(False, name, array.shape, accepted)
-    require(every(np.isfinite(array)), name, value, "finite")
+    require(all_true(np.isfinite(array)), name, value, "finite")
     return array
 
 
-def every(flags: NDArray[np.bool_]) -> bool:
-    """Return whether all are true; of a few, `flags.all()` takes twice as long."""
-    return b"\0" not in flags.tobytes()
+def all_true(values: NDArray[Any]) -> bool:
+    """Return whether no value is 0; for small arrays twice as fast as `all`."""
+    return bool(np.count_nonzero(values) == values.size)
 
 
 def require_batch(name: str, shapes: Sequence[tuple[int, ...]]) -> tuple[int, ...]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, warn_of_mismatch
+from mmc_gym._errors import all_true as all_true
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import (
     CannotActError,
@@ -251,11 +252,6 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
 def any_true(values: NDArray[Any]) -> bool:
     """Return whether any value is not 0; for small arrays three times as fast as `any`."""
     return bool(np.count_nonzero(values))
-
-
-def all_true(values: NDArray[Any]) -> bool:
-    """Return whether no value is 0; for small arrays twice as fast as `all`."""
-    return bool(np.count_nonzero(values) == values.size)
 
 
 _OF_STEPS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"}

@@ -68,7 +68,7 @@ class Motors:
 
         `actions` are (n, N), `arms` have the present columns, and `steps`, (n,), are those before.
         """
-        touched, self.commanded = self._touched, np.asarray(actions, np.float64)
+        touched, self.commanded = self._touched, np.array(actions, np.float64)
         values = self.commanded.copy()
         for name, spells in self._spells.items():
             places, happens = spells.now(arms, noise, steps)

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 
 from mmc_gym._errors import (
     UserError,
-    every,
+    all_true,
     is_whole,
     missing,
     require,
@@ -97,7 +97,7 @@ def require_poses(name: str, value: ArrayLike) -> Floats:
     """Return poses (..., 4, 4); raise a `UserError` for what is none."""
     poses = require_floats(name, value, (4, 4)).astype(np.float64, copy=False)
     accepted = "a pose: a rotation, a position and the row 0, 0, 0, 1"
-    require(every(poses[..., 3, :] == _LAST_ROW), name, value, accepted)
+    require(all_true(poses[..., 3, :] == _LAST_ROW), name, value, accepted)
     poses[..., :3, :3] = nearest_rotations(name, poses[..., :3, :3])
     return poses
 

@@ -229,8 +229,7 @@ class BodyEvidence(NamedTuple):
         if any_true(changes):
             keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
             rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
-        is_lost = self._is_lost(hand, units) if follows else changes & False
-        if any_true(is_lost):
+        if follows and any_true(is_lost := self._is_lost(hand, units)):
             age, rate = np.where(is_lost, 1.0, age), np.where(is_lost, 1.0, rate)
             keep = np.where(is_lost[:, None, None], 0.0, keep)
         sums = keep * self.sums + w[:, :, None] * z[:, None, :]
@@ -253,9 +252,10 @@ class BodyEvidence(NamedTuple):
 
         They did so in the last observation, too, and the body does not change steadily.
         """
-        error = squared(hand - self.best.seen(units))
-        is_lost: Bools = (error > LOST) & (self.change.error > SURPRISE_RATE * LOST)
-        return is_lost & ~self.change.is_on
+        is_lost: Bools = (self.change.error > SURPRISE_RATE * LOST) & ~self.change.is_on
+        if any_true(is_lost):
+            is_lost = is_lost & (squared(hand - self.best.seen(units)) > LOST)
+        return is_lost
 
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""

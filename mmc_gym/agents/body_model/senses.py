@@ -139,11 +139,11 @@ class Senses(NamedTuple):
         """Return the senses after one more observation, and what it shows of the last step."""
         joint_angles, speeds = seen.joint_angles, seen.joint_speeds
         place, hand = as_points(seen.target), as_points(seen.hand)
-        delay, is_again = self.delay, self.repeats < 0
+        delay, is_again = self.delay, np.zeros_like(self.is_later)
         history = self.seen, self.repeats, self.is_later
         if parts.bridges_delay:
             delay, is_again, history = self._relate(seen, interface)
-        turns = self._commanded_turns(delay, interface, motors)
+        related, turns = delay, self._commanded_turns(delay, interface, motors)
         if parts.filters:
             posture = self.posture.filter(joint_angles, speeds, turns[1], interface.control_step)
             target = self.target.filter(place, interface.control_step)
@@ -156,9 +156,9 @@ class Senses(NamedTuple):
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
             delay = delay.estimate(self.posture, posture, moved, is_sharp)
-            turns = self._commanded_turns(delay, interface, motors)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
+        if delay is not related:
             turns = self._commanded_turns(delay, interface, motors)
         postures = self.postures
         if delay.may_lag:
