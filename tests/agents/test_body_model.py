@@ -227,6 +227,16 @@ def test_a_lock_is_identified_sooner_if_it_is_given_and_a_false_one_freed():
     assert 20 > with_knowledge[:, 1].sum() > without[:, 1].sum() > 0
 
 
+def test_a_joint_taken_as_locked_is_pushed_although_it_once_turned_a_little():
+    held, slips = np.array([[0.0, 0.1, 0.0]]), np.array([[0.01, 0.1, 0.0]])
+    posture, locks = PostureTrack.start(*np.zeros((2, 1, 3))), Locks.start(np.zeros((1, 3)))
+    for turn in [held] * 8 + [slips, held, held]:
+        before, seen = posture, posture.joint_angles + turn
+        posture = before.filter(seen, turn / STEP, np.array([(0.1, 0.1, 0.0)]), STEP)
+        locks = locks.identify(last_step(before, posture, (0.1, 0.1, 0.0)))
+    assert locks.is_locked[0].tolist() == [True, False, False] and locks.commanded[0, 0] > 0.4
+
+
 HELD = np.array([[0.05, 0.0, -0.25]])
 """Turn about the middle of the last of three segments: 2.5 · 0.05 − 0.5 · 0.25 = 0."""
 
@@ -403,7 +413,8 @@ FAULTS = [
     "dropped-actions-0.3",
     "held-actions-0.3",
     "repeated-actions-0.3",
-    "joint-friction-0.3",
+    "joint-friction-0.9",
+    "locked-1-at-0.2-until-1",
     "joint-damping-0.3",
     "repeated-observations-0.9",
     "delay-100-at-0.1",

@@ -196,12 +196,17 @@ class BodyAgent(FeedbackAgent[BodyState]):
             response = response.observe(before, seen.joint_speeds, delay.late, delay.is_felt)
         if self.parts.finds_locks:
             locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
+            if any_true(locks.is_locked):  # nothing is learned of motors whose joints are locked
+                motors = where(locks.is_locked, Motors.start(*locks.is_locked.shape), motors)
         recovers = senses.target.is_moving
         drive = drive.estimate_acceleration(step, recovers, self.interface, motors)
         contacts = state.contacts
         if self.parts.avoids:
             counts = step.is_clear & ~locks.is_locked.any(axis=-1)
             lengths = self._body(state, state.evidence.best).lengths
+            begins = np.any(locks.has_changed & locks.is_locked, axis=-1)
+            if any_true(begins):  # the lock stopped the arm
+                contacts = where(begins, Contacts.start(*locks.is_locked.shape), contacts)
             contacts = contacts.locate(step, lengths, counts)
             if any_true(contacts.is_new):
                 is_new = contacts.is_new[:, None]

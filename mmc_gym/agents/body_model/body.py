@@ -55,7 +55,7 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true, where
 from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, unit_vectors
-from mmc_gym.agents.body_model.senses import LastStep
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep
 from mmc_gym.geometry import Floats
 
 FORGET = 0.005  # share of the sums that is forgotten in a control step
@@ -91,7 +91,7 @@ REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
 FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
 PLACE_RATE = 0.1  # rate at which the place of a locked joint follows what is seen
 PUSH = 0.6  # how far ahead the target of a locked joint is, radians
-FELT_BY = 25  # observations after which joints count as locked though no movement was felt
+FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none was felt
 
 
 class Body(NamedTuple):
@@ -407,7 +407,10 @@ class Locks(NamedTuple):
         is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
         is_arm_felt = step.is_felt[:, None] | (step.after.age > FELT_BY)
         rests = ~moves & ~is_freed & is_arm_felt
-        commanded = np.where(rests, self.commanded + step.commanded, 0.0)
+        # The sign of what was commanded says in which direction a locked joint is still pushed, if
+        # not slowly.
+        after = np.where(self.is_locked & ~is_freed, self.commanded, 0.0) if vigour == 1 else 0.0
+        commanded = np.where(rests, self.commanded + step.commanded, after)
         least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
         least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
         may_lock = np.abs(commanded) > least

@@ -36,6 +36,7 @@ GAIN = 30.0  # k: speed per angle left, 1/s
 STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration of joints, rad/s²
 LACKED_SPEED = 0.3  # a joint that lacks more of its commanded speed does what it can, rad/s
 FALL_RATE, RISE_RATE = 0.4, 0.05  # rates of the estimate; another cause may help a joint to rise
+RETARD_RATE = 0.2  # rate where a joint that no limit explains slows down: a command may be lost
 RECOVERY_RATE = 0.03  # rate at which it recovers
 FULL_LEAD = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
 LARGEST_LEAD = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
@@ -82,7 +83,9 @@ class Drive(NamedTuple):
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
         change = np.clip(shown, WEAKEST, STRONGEST) - old
-        estimate = old + np.where(change > 0, RISE_RATE, FALL_RATE) * change
+        fall = np.where(motors.differ & (shown < 0), RETARD_RATE, FALL_RATE)
+        rate = np.where(change > 0, RISE_RATE, fall)
+        estimate = old + rate * change
         idle = old + RECOVERY_RATE * recovers[:, None] * (STRONGEST - old)
         return self._replace(acceleration=np.where(saturates, estimate, idle))
 
