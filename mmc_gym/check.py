@@ -67,6 +67,7 @@ def _batches(
 ) -> list[str]:
     """Compare what is seen and done in a batch with what is in each of its rows."""
     rows = _rows([vars(seen) for seen in sights])
+    del rows["lost"]
     actions = np.stack([_action(contract, seen, seen.joint_angles) for seen in sights])
     is_mapping = isinstance(observations[0], dict)
     batch = _rows(observations) if is_mapping else np.stack(observations)

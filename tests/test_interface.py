@@ -46,6 +46,21 @@ def test_a_hand_that_is_seen_beyond_the_limits_is_recovered_from_its_bounded_off
     np.testing.assert_allclose(INTERFACE.see(seen).hand, hands, atol=1e-3)
 
 
+def test_numbers_that_are_lost_are_told_from_those_that_are_not():
+    seen = LAYOUT.encode(*arms(3)[:2], hand=arms(3)[2], target=arms(3)[3])
+    assert INTERFACE.see(seen).lost is None
+    before = INTERFACE.see(seen)
+    seen[0, 1] = seen[1, 5] = seen[2, 7] = seen[3, -6] = seen[4, -4] = 0.0
+    view, lost = INTERFACE.see(seen), np.zeros((5, 7), bool)
+    lost[0, 1] = lost[1, 2] = lost[2, 4] = lost[3, 6] = True
+    assert (view.lost == lost).all()  # a lost offset follows from the bounded one
+    np.testing.assert_allclose(view.hand[4], before.hand[4], atol=1e-4)
+    seen = LAYOUT.encode(
+        np.zeros((1, 3)), np.zeros((1, 3)), hand=np.eye(2)[:1], target=np.ones((1, 2))
+    )
+    assert INTERFACE.see(seen).lost[0].tolist() == [*[False] * 3, *[True] * 3, False]
+
+
 @given(st.integers(0, 2**31), st.integers(1, 5), st.booleans(), st.booleans())
 def test_one_arm_is_encoded_as_many_are_and_the_world_recovered(
     seed, joints, is_clipped, has_goals

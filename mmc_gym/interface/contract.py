@@ -79,7 +79,8 @@ class Sensed:
     def in_rows(self) -> Self:
         """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
         rows = math.prod(self.joint_angles.shape[:-1])
-        flat = {name: part.reshape(rows, part.shape[-1]) for name, part in vars(self).items()}
+        parts = {name: part for name, part in vars(self).items() if part is not None}
+        flat = {name: part.reshape(rows, part.shape[-1]) for name, part in parts.items()}
         return type(self)(**flat)
 
 
@@ -89,6 +90,9 @@ class Seen(Sensed):
 
     joint_speeds: Floats  #: rad/s, (..., N)
     hand: Floats  #: seen position of the hand or its cursor, segment lengths, (..., 2)
+    #: which angles, speeds and targets may lack a number, (..., 2 N + 1), see
+    #: `ObservationLayout.lost`; None: none does, as in interfaces of your own
+    lost: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -244,7 +248,7 @@ class ReachInterface:
         for name, size in sizes.items():
             array = _finite(f"{name} of see", getattr(seen, name), (*batch, size))
             arrays[name] = array.astype(np.float64, copy=False)
-        return replace(seen, **arrays)
+        return replace(seen, lost=None, **arrays)
 
     def see(self, observation: Observation) -> Seen:
         """Return all that observations show."""
@@ -258,6 +262,7 @@ class ReachInterface:
             target=target,
             joint_speeds=parts.speeds * self.speed_limit,
             hand=target - offset,
+            lost=self.layout.lost(parts),
         )
 
     def within_limits(self, joint_angles: Floats) -> Floats:

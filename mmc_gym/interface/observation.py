@@ -34,6 +34,7 @@ class ObservationParts(NamedTuple):
 
 
 OFFSET_SCALE = 0.05  # segment lengths
+INCONSISTENT = 1e-4  # difference of cos² + sin² from 1 that rounding does not make
 
 
 @dataclass(frozen=True)
@@ -188,15 +189,30 @@ class ObservationLayout:
     def whole_offset(self, parts: ObservationParts) -> NDArray[np.float64]:
         """Return the offset of observations, (..., 2); a clipped one follows from the bounded one.
 
-        A cursor may be seen farther away than an arm can reach, see `limits`.
+        A cursor may be seen farther away than an arm can reach, see `limits`.  So does one with a
+        number that is lost: 0, although that of the bounded one is not.
         """
         offset: NDArray[np.float64] = parts.offset
-        is_clipped = (np.abs(offset) == self.limits[-3]).any(axis=-1, keepdims=True)
+        is_clipped = (np.abs(offset) == self.limits[-3]) | ((offset == 0) & (parts.bounded != 0))
         if not is_clipped.any():
             return offset
         share = np.linalg.norm(parts.bounded, axis=-1, keepdims=True)
         size = OFFSET_SCALE / np.maximum(1 - share, 1e-4)
-        return np.where(is_clipped, parts.bounded * size, offset)
+        return np.where(is_clipped.any(axis=-1, keepdims=True), parts.bounded * size, offset)
+
+    def lost(self, parts: ObservationParts) -> NDArray[np.bool_] | None:
+        """Return which angles, speeds and targets may lack a number, (..., 2 N + 1); None: none.
+
+        Sensors that fail show 0.  An angle lacks a number if cosine and sine are not those of one
+        angle; any speed or target with a 0 may.
+        """
+        is_zero = (parts.cosines == 0) | (parts.sines == 0), parts.speeds == 0, parts.target == 0
+        lost = np.concatenate([*is_zero[:2], is_zero[2].any(axis=-1, keepdims=True)], axis=-1)
+        if not np.count_nonzero(lost):
+            return None
+        size = parts.cosines * parts.cosines + parts.sines * parts.sines
+        lost[..., : self.joint_count] &= np.abs(size - 1) > INCONSISTENT
+        return lost
 
 
 def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:

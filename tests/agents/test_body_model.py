@@ -414,6 +414,7 @@ FAULTS = [
     "held-actions-0.3",
     "repeated-actions-0.3",
     "joint-friction-0.9",
+    "dropped-numbers-0.1",
     "locked-1-at-0.2-until-1",
     "joint-damping-0.3",
     "repeated-observations-0.9",

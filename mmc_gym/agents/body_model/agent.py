@@ -132,8 +132,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     @override
     def respond(self, state: BodyState, seen: Seen) -> tuple[NDArray[np.float32], BodyState]:
-        if self.learns:
+        if self.learns or any_true(state.looks == BETWEEN):
             state = self._begin_movements(state, seen)
+        lost = seen.lost if self.parts.filters else None
+        if lost is not None:
+            seen = state.senses.complete(seen, lost, self.interface, state.motors)
         state = self._observe(state, seen)
         angles, speeds, before = self._predict_now(state, seen)
         problem = self._forecast(state, angles)
@@ -145,6 +148,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
             action = state.memory.disturbed(action, state.looks)
         if self.has_own_act:
             state = state._replace(response=state.response.record(action))
+        if lost is not None:  # where the first posture is not whole, the next is the first
+            lacks = (state.looks == 1) & lost[:, : now.joint_angles.shape[-1]].any(axis=-1)
+            if any_true(lacks):
+                state = state._replace(looks=np.where(lacks, BETWEEN, state.looks))
+                action = np.where(lacks[:, None], np.zeros_like(action), action)
         return action, state
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:

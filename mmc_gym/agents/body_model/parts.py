@@ -17,7 +17,8 @@ from mmc_gym._errors import require, require_between, require_number, require_nu
 class Parts:
     """Which parts an agent has, and how it moves and learns."""
 
-    filters: bool = True  #: whether noise is filtered, and moving targets are predicted
+    #: whether noise is filtered, lost numbers are completed, and moving targets are predicted
+    filters: bool = True
     bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
     #: whether lengths and a turned cursor are identified; else the given ones are used
     identifies_body: bool = True

@@ -48,6 +48,7 @@ from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Points,
     as_points,
+    as_vectors,
     command_of,
     commanded_turn,
     full_turn,
@@ -124,6 +125,29 @@ class Senses(NamedTuple):
         is_hidden = self._hides(hand, seen.joint_angles, self.posture)
         return self._replace(hand=hand, is_hidden=is_hidden)
 
+    def complete(self, seen: Seen, lost: Bools, interface: ReachInterface, motors: Motors) -> Seen:
+        """Return what is seen, with what is expected in the place of numbers that are lost.
+
+        `lost` are those that may be, see `Seen`.  A speed of 0 is lost if its joint turned.  Hand
+        and target are seen from the first segment.
+        """
+        posture, step = self.posture, interface.control_step
+        angles, speeds = seen.joint_angles, seen.joint_speeds
+        joints = angles.shape[-1]
+        by_command = self.commanded_turns(self.delay, interface, motors)[1]
+        is_steady = (speeds != 0) & (posture.speeds != 0)
+        turn = np.where(is_steady, step / 2 * (speeds + posture.speeds), by_command)
+        angles = np.where(lost[:, :joints], wrap_angle(posture.seen + turn), angles)
+        turned = wrap_angle(angles - posture.seen)
+        has_turned = lost[:, joints : 2 * joints] & (np.abs(turned) > TURNED)
+        speeds = np.where(has_turned, turned / step, speeds)
+        back = np.exp(1j * (angles - seen.joint_angles)[:, 0])
+        target, hand = back * as_points(seen.target), back * as_points(seen.hand)
+        expected = self.target.predict(np.ones(len(target)))
+        hand = np.where(lost[:, -1], expected - (target - hand), hand)
+        target = np.where(lost[:, -1], expected, target)
+        return Seen(angles, as_vectors(target), speeds, as_vectors(hand))
+
     def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
         """Return which hands are hidden: these repeat their last sight, though the joints turn."""
         is_hidden = np.abs(hand - self.hand) < SAME_PLACE
@@ -143,7 +167,7 @@ class Senses(NamedTuple):
         history = self.seen, self.repeats, self.is_later
         if parts.bridges_delay:
             delay, is_again, history = self._relate(seen, interface)
-        related, turns = delay, self._commanded_turns(delay, interface, motors)
+        related, turns = delay, self.commanded_turns(delay, interface, motors)
         if parts.filters:
             posture = self.posture.filter(joint_angles, speeds, turns[1], interface.control_step)
             target = self.target.filter(place, interface.control_step)
@@ -159,7 +183,7 @@ class Senses(NamedTuple):
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         if delay is not related:
-            turns = self._commanded_turns(delay, interface, motors)
+            turns = self.commanded_turns(delay, interface, motors)
         postures = self.postures
         if delay.may_lag:
             likely = posture.likely[:, None]
@@ -176,7 +200,7 @@ class Senses(NamedTuple):
         )
         return Senses(posture, target, delay, hand, is_hidden, postures, *history), step
 
-    def _commanded_turns(
+    def commanded_turns(
         self, delay: Delay, interface: ReachInterface, motors: Motors
     ) -> tuple[Floats, Floats]:
         """Return how far the command should have turned joints as given, and by their motors."""
