@@ -45,7 +45,7 @@ SCENARIOS = """
     random pursuit double-step-200 rotation-30 longer-20 locked-2 locks-2 force-field-60
     hand-mass-10 gravity-60 joint-noise-0.05 vision-noise-0.1 delay-200 vision-delay-200 obstacles-2
     mirror rotation-40+rotation--80-at-1 rotation-60-over-2 gain-1.4-over-2
-    motor-gain-0.4 motor-offset-0.2-of-2 servo-gain-0.5 dropped-numbers-0.1
+    motor-gain-0.4 motor-offset-0.2-of-2 servo-gain-0.5 stuck-sensor-2 dropped-numbers-0.1
 """
 HUMAN = "random rotation-60 locked-2 locks-2 delay-200 double-step-200 pursuit"
 PARTS = {

@@ -237,6 +237,24 @@ def test_a_joint_taken_as_locked_is_pushed_although_it_once_turned_a_little():
     assert locks.is_locked[0].tolist() == [True, False, False] and locks.commanded[0, 0] > 0.4
 
 
+def test_a_sensor_is_stuck_whose_joint_moves_the_hand_and_its_angle_follows():
+    envs = gym.make_vec("MMCReach-v0", 20, perturbations="stuck-sensor-2", engine="analytic")
+    agent, state = mmc_body(ReachInterface.of(envs)), None
+    observations, _ = envs.reset(seed=3)
+    for _ in range(100):
+        action, state = agent.predict(observations, state)
+        observations, _, _, _, info = envs.step(action)
+    turned = np.abs(state.stuck.offset[:, 1]) > 0.1
+    assert turned.mean() > 0.8 and not state.stuck.offset[:, [0, 2]].any()
+    assert np.mean(info["is_success"]) >= 0.95
+
+
+@pytest.mark.parametrize("perturbation", ["locked-2", "rotation-60", "hand-mass-4", "longer-50"])
+def test_no_sensor_is_taken_as_stuck_for_long_where_none_is(perturbation):
+    *_, (_, state) = moments(mmc_body, perturbation, 40, 60, seed=5, engine="analytic")
+    assert not state.stuck.is_stuck.any()
+
+
 HELD = np.array([[0.05, 0.0, -0.25]])
 """Turn about the middle of the last of three segments: 2.5 · 0.05 − 0.5 · 0.25 = 0."""
 
@@ -414,6 +432,9 @@ FAULTS = [
     "held-actions-0.3",
     "repeated-actions-0.3",
     "joint-friction-0.9",
+    "stuck-sensor-1",
+    "stuck-sensor-3",
+    "encoder-64",
     "dropped-numbers-0.1",
     "locked-1-at-0.2-until-1",
     "joint-damping-0.3",

@@ -49,6 +49,7 @@ from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
+from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -69,6 +70,7 @@ class BodyState(NamedTuple):
     contacts: Contacts
     route: Route
     motors: Motors
+    stuck: Stuck
     drive: Drive
     memory: Memory
     response: Response
@@ -112,6 +114,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             route=Route.start(joint_angles, as_points(sensed.target)),
             motors=Motors.start(arms, joints),
+            stuck=Stuck.start(joint_angles),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
             response=Response.start(arms, joints, LONGEST_DELAY if self.has_own_act else 0),
@@ -137,6 +140,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         lost = seen.lost if self.parts.filters else None
         if lost is not None:
             seen = state.senses.complete(seen, lost, self.interface, state.motors)
+        if self.finds_motors:
+            state, seen = self._correct(state, seen)
         state = self._observe(state, seen)
         angles, speeds, before = self._predict_now(state, seen)
         problem = self._forecast(state, angles)
@@ -154,6 +159,18 @@ class BodyAgent(FeedbackAgent[BodyState]):
                 state = state._replace(looks=np.where(lacks, BETWEEN, state.looks))
                 action = np.where(lacks[:, None], np.zeros_like(action), action)
         return action, state
+
+    def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
+        """Return the state, and what is seen, with the angles of sensors that are stuck."""
+        stuck = state.stuck.feel(seen)
+        if any_true(stuck.still) or any_true(state.stuck.still):
+            senses, delay = state.senses, state.senses.delay
+            commanded = senses.commanded_turns(delay, self.interface, state.motors)[1]
+            counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
+            before = senses.posture.joint_angles
+            stuck = stuck.compare(state.evidence.best, before, commanded, counts)
+            seen = stuck.corrected(seen, commanded, self.interface.control_step)
+        return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
         """Let movements begin with what was learned in those before."""

@@ -107,6 +107,12 @@ class Body(NamedTuple):
         place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return _mirrored(place, self.is_mirrored)
 
+    def levers(self, units: Points) -> Points:
+        """Return the derivatives of the seen hand by the joint angles, (n, N)."""
+        segments = self.lengths * units
+        outer = np.cumsum(segments[:, ::-1], axis=-1)[:, ::-1]
+        return _mirrored(1j * self.turn[:, None] * outer, self.is_mirrored[:, None])
+
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is (n,) if it is seen at `seen` (n,)."""
         return (_mirrored(seen, self.is_mirrored) - self.shift) / self.turn

@@ -24,7 +24,8 @@ class Parts:
     identifies_body: bool = True
     #: whether changes of lengths and cursor within a movement are followed, see `body_model.body`
     follows_changes: bool = True
-    finds_motors: bool = True  #: whether it is learned what commands really do to joints
+    #: whether it is learned what commands really do to joints, and which sensors are stuck
+    finds_motors: bool = True
     finds_locks: bool = True  #: whether locked joints are identified
     imagines: bool = True  #: whether several models settle; else one, from the present posture
     drives: bool = True  #: whether the servos are inverted; else they get the imagined posture
