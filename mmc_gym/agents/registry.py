@@ -163,7 +163,7 @@ AGENTS: dict[str, AgentEntry] = {
     **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
     **_trained(
         "ppo-drawn",
-        "PPO under perturbations that are drawn for each episode",
+        "PPO under perturbations of all groups, drawn for each episode",
         3,
         is_ranked=False,
     ),
@@ -188,7 +188,7 @@ AGENTS: dict[str, AgentEntry] = {
         3,
         memory=68,
         command="python -m studies.learners.ppo_memory --name ppo-memory-kinds "
-        "--teacher runs/ppo-kinds-teacher-0/ppo-kinds-teacher-0.json",
+        "--teacher runs/ppo-context-0/ppo-context-0.json",
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",

@@ -12,9 +12,9 @@ aggregation with the latest episodes only).
 
 `ppo-memory-kinds` is the student of one that was shown perturbations of all six groups:
 
-    mmc-gym train studies/learners/ppo-kinds-teacher.yml
+    mmc-gym train ppo-context
     python -m studies.learners.ppo_memory --name ppo-memory-kinds \
-        --teacher runs/ppo-kinds-teacher-0/ppo-kinds-teacher-0.json
+        --teacher runs/ppo-context-0/ppo-context-0.json
 
 Sources: Kumar, Fu, Pathak & Malik (2021), RMA: Rapid motor adaptation for legged robots, RSS,
 https://arxiv.org/abs/2107.04034 (a teacher that is shown what was drawn, a student with a memory).

@@ -117,15 +117,22 @@ def test_a_recipe_takes_the_perturbations_of_another(tmp_path):
     of_that = write(tmp_path / "ppo-c.yml", "more/sac-b.yml")
     assert drawn_by(of_file) == drawn_by(of_that) == ["longer-0..20", "locks-2"]
     of_shipped = write(tmp_path / "ppo-d.yml", "ppo-drawn")
-    assert drawn_by(of_shipped) == drawn_by("ppo-drawn") == drawn_by("ppo-context")
+    assert drawn_by(of_shipped) == drawn_by("ppo-drawn")
     assert read_recipe(of_shipped).settings["env_kwargs"]["engine"] == "analytic"
     without = read_recipe(of_that).without("locks")
     assert without.hyperparameters["env_kwargs"]["perturbations"] == ["longer-0..20"]
     replaced = read_recipe(of_that, env_kwargs={"perturbations": ["delay-100"]})
     assert replaced.settings["env_kwargs"]["perturbations"] == ["delay-100"]
     assert drawn_by(write(tmp_path / "ppo-e.yml", "rotation-30")) == "rotation-30"  # no recipe
-    for name in ("ppo-stacked", "ppo_lstm-drawn", "sac-stacked"):
+    for name in ("ppo-kinds", "ppo_lstm-kinds", "tqc-kinds", "crossq-kinds"):
         assert drawn_by(f"studies/learners/{name}.yml") == drawn_by("ppo-drawn")
+    stacked, teacher = (
+        drawn_by(f"studies/learners/ppo-{name}.yml") for name in ("stacked", "teacher")
+    )
+    for name in ("ppo_lstm-drawn", "sac-stacked"):
+        assert drawn_by(f"studies/learners/{name}.yml") == stacked
+    for plain, with_locks in ((stacked, teacher), (drawn_by("ppo-drawn"), drawn_by("ppo-context"))):
+        assert plain[0]["one_of"] == with_locks[0]["one_of"]  # which draws locks more often
 
 
 def test_perturbations_of_a_recipe_that_has_none_are_errors(tmp_path):
