@@ -9,7 +9,7 @@ from pathlib import Path
 from mmc_gym.record import record
 
 AGENTS = ("mmc", "mmc-body", "ppo", "ppo-drawn")
-SEED = 4  # of 33 episodes they reach in 3, 23, 16 and 18; here in 0, 2, 1 and 1 of 2
+SEED = 7  # of 33 episodes they reach in 3, 23, 16 and 18; here in 0, 2, 1 and 1 of 2
 
 if __name__ == "__main__":
     default = Path(__file__).resolve().parent / "film.gif"
