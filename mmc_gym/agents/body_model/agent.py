@@ -8,6 +8,7 @@
 - `obstacles`: remembered once they are felt, and routes round them;
 - `drive`: joint targets on the way there;
 - `motors`: what commands really do to joints, and which command turns them as they should;
+- `stuck`: joint sensors that the hand contradicts;
 - `memory`: what is learned from movement to movement, if anything.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two

@@ -33,6 +33,10 @@ seen later than joints are felt: until the hand first moves.  A late hand belong
 its time.  A moving arm never looks the same twice, so repeated observations show that the delay
 grows, or that some are lost, see `Senses._relate`.
 
+**Lost numbers.**  A sensor that fails shows 0.  An angle whose cosine and sine are not those of one
+angle, a speed of 0 though the joint turned, and a target with a coordinate of 0 are replaced by
+what is expected, see `Senses.complete`.
+
 Literature: Morrison (1969), Introduction to sequential smoothing and prediction.  Brookner (1998),
 Tracking and Kalman filtering made easy.  Miall et al. (1993), J. Motor Behavior 25, 203–216.
 """
