@@ -189,8 +189,8 @@ class ObservationLayout:
     def whole_offset(self, parts: ObservationParts) -> NDArray[np.float64]:
         """Return the offset of observations, (..., 2); a clipped one follows from the bounded one.
 
-        A cursor may be seen farther away than an arm can reach, see `limits`.  So does one with a
-        number that is lost: 0, although that of the bounded one is not.
+        A cursor may be seen farther away than an arm can reach, see `limits`.  An offset may also
+        lack a number: it is 0 where the bounded one is not.
         """
         offset: NDArray[np.float64] = parts.offset
         is_clipped = (np.abs(offset) == self.limits[-3]) | ((offset == 0) & (parts.bounded != 0))
@@ -203,8 +203,8 @@ class ObservationLayout:
     def lost(self, parts: ObservationParts) -> NDArray[np.bool_] | None:
         """Return which angles, speeds and targets may lack a number, (..., 2 N + 1); None: none.
 
-        Sensors that fail show 0.  An angle lacks a number if cosine and sine are not those of one
-        angle; any speed or target with a 0 may.
+        Sensors that fail show 0.  An angle lacks a number if its cosine or sine is 0, and they are
+        not those of one angle; a speed or target with a 0 may.
         """
         is_zero = (parts.cosines == 0) | (parts.sines == 0), parts.speeds == 0, parts.target == 0
         lost = np.concatenate([*is_zero[:2], is_zero[2].any(axis=-1, keepdims=True)], axis=-1)

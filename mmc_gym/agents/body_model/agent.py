@@ -59,12 +59,14 @@ from mmc_gym.network import LearnedNormalizer, MMCNetwork
 LAG = 1.5  # control steps until the joints are where a command takes them
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 BETWEEN = -1  # looks of a state between two movements
+LONGEST_WAIT = 10.0  # observations that an arm waits at most for a first posture that is whole
 
 
 class BodyState(NamedTuple):
     """State of the agent: the number of observations so far, and that of each part."""
 
     looks: Floats  # (n,)
+    waits: Floats  # observations before, in which the posture was not whole, (n,)
     senses: Senses
     evidence: BodyEvidence
     locks: Locks
@@ -109,6 +111,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         arms, joints = joint_angles.shape
         return BodyState(
             looks=np.zeros(arms),
+            waits=np.zeros(arms),
             senses=Senses.start(self.interface, sensed),
             evidence=BodyEvidence.start(self.interface.segment_lengths, arms),
             locks=Locks.start(joint_angles),
@@ -140,7 +143,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             state = self._begin_movements(state, seen)
         lost = seen.lost if self.parts.filters else None
         if lost is not None:
-            seen = state.senses.complete(seen, lost, self.interface, state.motors)
+            offset = state.stuck.offset
+            seen = state.senses.complete(seen, lost, offset, self.interface, state.motors)
         if self.finds_motors:
             state, seen = self._correct(state, seen)
         state = self._observe(state, seen)
@@ -154,20 +158,24 @@ class BodyAgent(FeedbackAgent[BodyState]):
             action = state.memory.disturbed(action, state.looks)
         if self.has_own_act:
             state = state._replace(response=state.response.record(action))
-        if lost is not None:  # where the first posture is not whole, the next is the first
+        if lost is not None:  # an episode begins with the first posture that lacks no number
             lacks = (state.looks == 1) & lost[:, : now.joint_angles.shape[-1]].any(axis=-1)
+            lacks &= state.waits < LONGEST_WAIT
             if any_true(lacks):
-                state = state._replace(looks=np.where(lacks, BETWEEN, state.looks))
-                action = np.where(lacks[:, None], np.zeros_like(action), action)
+                looks, waits = np.where(lacks, BETWEEN, state.looks), state.waits + lacks
+                state = state._replace(looks=looks, waits=waits)
+                hold = self.interface.act(now.joint_angles, now)
+                action = np.where(lacks[:, None], hold, action)
         return action, state
 
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
-        """Return the state, and what is seen, with the angles of sensors that are stuck."""
+        """Return the state, and what is seen, with stuck sensors corrected."""
         stuck = state.stuck.feel(seen)
         if any_true(stuck.still) or any_true(state.stuck.still):
             senses, delay = state.senses, state.senses.delay
             commanded = senses.commanded_turns(delay, self.interface, state.motors)[1]
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
+            counts &= ~senses.is_hidden
             before = senses.posture.joint_angles
             stuck = stuck.compare(state.evidence.best, before, commanded, counts)
             seen = stuck.corrected(seen, commanded, self.interface.control_step)
@@ -177,7 +185,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Let movements begin with what was learned in those before."""
         between = state.looks == BETWEEN
         if any_true(between):
-            state = where(between, self.start(seen)._replace(memory=state.memory), state)
+            fresh = self.start(seen)._replace(memory=state.memory, waits=state.waits)
+            state = where(between, fresh, state)
         begins, given_lengths = state.looks == 0, state.evidence.given_body.lengths
         places = as_points(seen.hand), as_points(seen.target)
         memory = state.memory.begin_movement(begins, *places, seen.joint_angles, given_lengths)

@@ -91,7 +91,7 @@ REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
 FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
 PLACE_RATE = 0.1  # rate at which the place of a locked joint follows what is seen
 PUSH = 0.6  # how far ahead the target of a locked joint is, radians
-FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none was felt
+FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none moved
 
 
 class Body(NamedTuple):
@@ -107,7 +107,7 @@ class Body(NamedTuple):
         place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return _mirrored(place, self.is_mirrored)
 
-    def levers(self, units: Points) -> Points:
+    def jacobian(self, units: Points) -> Points:
         """Return the derivatives of the seen hand by the joint angles, (n, N)."""
         segments = self.lengths * units
         outer = np.cumsum(segments[:, ::-1], axis=-1)[:, ::-1]
@@ -413,8 +413,7 @@ class Locks(NamedTuple):
         is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
         is_arm_felt = step.is_felt[:, None] | (step.after.age > FELT_BY)
         rests = ~moves & ~is_freed & is_arm_felt
-        # The sign of what was commanded says in which direction a locked joint is still pushed, if
-        # not slowly.
+        # Kept while a joint is locked: its sign is the direction in which it is pushed, if fast.
         after = np.where(self.is_locked & ~is_freed, self.commanded, 0.0) if vigour == 1 else 0.0
         commanded = np.where(rests, self.commanded + step.commanded, after)
         least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER

@@ -129,11 +129,13 @@ class Senses(NamedTuple):
         is_hidden = self._hides(hand, seen.joint_angles, self.posture)
         return self._replace(hand=hand, is_hidden=is_hidden)
 
-    def complete(self, seen: Seen, lost: Bools, interface: ReachInterface, motors: Motors) -> Seen:
+    def complete(
+        self, seen: Seen, lost: Bools, offset: Floats, interface: ReachInterface, motors: Motors
+    ) -> Seen:
         """Return what is seen, with what is expected in the place of numbers that are lost.
 
         `lost` are those that may be, see `Seen`.  A speed of 0 is lost if its joint turned.  Hand
-        and target are seen from the first segment.
+        and target are seen from the first segment.  `offset` is that of stuck sensors, (n, N).
         """
         posture, step = self.posture, interface.control_step
         angles, speeds = seen.joint_angles, seen.joint_speeds
@@ -141,8 +143,9 @@ class Senses(NamedTuple):
         by_command = self.commanded_turns(self.delay, interface, motors)[1]
         is_steady = (speeds != 0) & (posture.speeds != 0)
         turn = np.where(is_steady, step / 2 * (speeds + posture.speeds), by_command)
-        angles = np.where(lost[:, :joints], wrap_angle(posture.seen + turn), angles)
-        turned = wrap_angle(angles - posture.seen)
+        before = posture.seen - offset  # as sensors showed it
+        angles = np.where(lost[:, :joints], wrap_angle(before + turn), angles)
+        turned = wrap_angle(angles - before)
         has_turned = lost[:, joints : 2 * joints] & (np.abs(turned) > TURNED)
         speeds = np.where(has_turned, turned / step, speeds)
         back = np.exp(1j * (angles - seen.joint_angles)[:, 0])

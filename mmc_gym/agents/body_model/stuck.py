@@ -42,7 +42,7 @@ class Stuck(NamedTuple):
     error: Floats  # recent square errors of the hand's movement if no sensor is stuck, (n, 1)
     error_if_stuck: Floats  # and if one is, (n, N)
     is_stuck: Bools  # (n, N)
-    offset: Floats  # how far joints have turned since their sensors stick, radians, (n, N)
+    offset: Floats  # how far joints turned since their sensors got stuck, radians, (n, N)
 
     @classmethod
     def start(cls, joint_angles: Floats) -> Stuck:
@@ -61,13 +61,14 @@ class Stuck(NamedTuple):
         """Return it after the hand's movement is compared with that of the joints.
 
         Joints were at `before`, and should have turned as `commanded`, (n, N); some arms count,
-        (n,).  Only needed where a joint stands still, or did so before.
+        (n,).  Only needed where a joint stands still, or did so before; no sensor of other arms is
+        stuck.
         """
         is_watched = np.any(self.still > 0, axis=-1, keepdims=True)
-        levers = body.levers(unit_vectors(before + self.turn / 2))
+        columns = body.jacobian(unit_vectors(before + self.turn / 2))
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
-        lacks = self.move[:, None] - (levers * self.turn).sum(axis=-1, keepdims=True)
-        lacks_if_stuck = lacks - levers * (commanded - self.turn)
+        lacks = self.move[:, None] - (columns * self.turn).sum(axis=-1, keepdims=True)
+        lacks_if_stuck = lacks - columns * (commanded - self.turn)
         counts = counts[:, None]
         error = RECENT * self.error + counts * squared(lacks)
         error_if_stuck = RECENT * self.error_if_stuck + counts * squared(lacks_if_stuck)
@@ -77,7 +78,7 @@ class Stuck(NamedTuple):
         offset = (self.offset + counts * commanded) * is_stuck
         if any_true(is_stuck):
             units = unit_vectors(self.felt + offset)
-            off, pulls = self.hand - body.seen(units), body.levers(units) * is_stuck
+            off, pulls = self.hand - body.seen(units), body.jacobian(units) * is_stuck
             size = squared(pulls).sum(axis=-1, keepdims=True) + DAMPING
             offset = offset + counts * FOLLOWS * (pulls.conj() * off[:, None]).real / size
         return self._replace(
