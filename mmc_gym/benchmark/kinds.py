@@ -27,6 +27,11 @@ def name_without(name: str, group: str) -> str:
     return re.sub(r"(-\d+)?$", rf"-without-{group}\1", name, count=1)
 
 
+def lacks_group(name: str) -> bool:
+    """Return whether a training of this name left a group out, see `name_without`."""
+    return any(f"-without-{group}" in name for group in GROUPS)
+
+
 def group_of(scenario: str) -> str:
     """Return the group of all of a scenario's perturbations; "" if there is none."""
     with suppress(UserError):  # an environment of yours

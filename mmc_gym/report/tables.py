@@ -11,7 +11,7 @@ import numpy as np
 
 from mmc_gym._tables import NONE, Cell, Heading, Row, Table, count, interval, number
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.kinds import trained_without
+from mmc_gym.benchmark.kinds import lacks_group, trained_without
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.measures import MEASURES, Measure, words
 from mmc_gym.measures.catalogue import PEOPLE, people, span
@@ -142,13 +142,14 @@ def kinds_table(results: Results) -> Table | None:
     """Return success and regret by group of perturbations; None if no training lacks a group.
 
     Trainings without a group share a row, in which each is judged on the group that it lacks; –: no
-    training lacks it.
+    training lacks it.  Without the training on all groups, each has its own row.
     """
     best, agents = results.yardstick, [name for name in results.agents if name != REFERENCE]
     without = {agent: trained_without(agent, agents) for agent in agents}
     partial = {name for names in without.values() for name in names.values()}
     rows = []
-    for agent in (name for name in agents if partial and name not in partial):
+    is_asked = any(lacks_group(name) for name in agents)
+    for agent in (name for name in agents if is_asked and name not in partial):
         for label, names in ((agent, {}), (f"{agent}, never met", without[agent])):
             cells = [
                 _judged(successes, names.get(group, agent), best)

@@ -63,3 +63,11 @@ def test_the_report_judges_each_training_on_the_group_that_it_lacks(tmp_path):
 def test_without_such_trainings_there_is_no_table(tmp_path):
     benchmark(["mmc"], tmp_path, ["rotation-60", "locked-2"], episodes=2, jobs=1)
     assert kinds_table(read_results(tmp_path, 50)) is None
+
+
+def test_a_training_without_a_group_has_a_row_where_that_on_all_groups_was_not_played(tmp_path):
+    agents = {"net-without-locks-0": "mmc", "other": "ik-dls"}
+    benchmark(agents, tmp_path, ["rotation-60", "locked-2"], episodes=2, jobs=1)
+    table = kinds_table(read_results(tmp_path, 50, yardstick="other"))
+    assert [row.name for row in table.rows] == [*agents]
+    assert all(len(row.cells) == 2 for row in table.rows)
