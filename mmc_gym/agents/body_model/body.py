@@ -54,7 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true, where
-from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, unit_vectors
+from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, to_hand, unit_vectors
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep
 from mmc_gym.geometry import Floats
 
@@ -107,11 +107,10 @@ class Body(NamedTuple):
         place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return _mirrored(place, self.is_mirrored)
 
-    def jacobian(self, units: Points) -> Points:
-        """Return the derivatives of the seen hand by the joint angles, (n, N)."""
-        segments = self.lengths * units
-        outer = np.cumsum(segments[:, ::-1], axis=-1)[:, ::-1]
-        return _mirrored(1j * self.turn[:, None] * outer, self.is_mirrored[:, None])
+    def jacobian(self, joint_angles: Floats) -> Points:
+        """Return the derivatives of the seen hand by the joint angles, both (n, N)."""
+        columns = 1j * self.turn[:, None] * to_hand(joint_angles, self.lengths)
+        return _mirrored(columns, self.is_mirrored[:, None])
 
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is (n,) if it is seen at `seen` (n,)."""

@@ -557,5 +557,5 @@ class Delay(NamedTuple):
 
 
 def _onset(posture: PostureTrack) -> Floats:
-    """Return the least speed that is not noise, (n,)."""
+    """Return the least speed that is a movement, not noise, rad/s, (n,)."""
     return ONSET + ONSET_PER_NOISE * posture.deviation[:, 0]

@@ -65,7 +65,7 @@ class Stuck(NamedTuple):
         stuck.
         """
         is_watched = np.any(self.still > 0, axis=-1, keepdims=True)
-        columns = body.jacobian(unit_vectors(before + self.turn / 2))
+        columns = body.jacobian(before + self.turn / 2)
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
         lacks = self.move[:, None] - (columns * self.turn).sum(axis=-1, keepdims=True)
         lacks_if_stuck = lacks - columns * (commanded - self.turn)
@@ -77,8 +77,9 @@ class Stuck(NamedTuple):
         is_stuck = (self.still > STILL) & (is_better | (self.is_stuck & ~is_worse))
         offset = (self.offset + counts * commanded) * is_stuck
         if any_true(is_stuck):
-            units = unit_vectors(self.felt + offset)
-            off, pulls = self.hand - body.seen(units), body.jacobian(units) * is_stuck
+            angles = self.felt + offset
+            off = self.hand - body.seen(unit_vectors(angles))
+            pulls = body.jacobian(angles) * is_stuck
             size = squared(pulls).sum(axis=-1, keepdims=True) + DAMPING
             offset = offset + counts * FOLLOWS * (pulls.conj() * off[:, None]).real / size
         return self._replace(
