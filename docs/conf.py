@@ -70,7 +70,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"mmc_gym\.envs\.(changes\.Direction|names\.Range)"),
     (r"py:.*", r"mmc_gym\.envs\.(reach\.GoalEnvironment|scenarios\.OwnFacts)"),
     (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),
-    (r"py:.*", r"mmc_gym\.robots\.records\.ZeroPosture"),
+    (r"py:.*", r"mmc_gym\.robots\.records\.(Hold|Records)"),
     # Type variables, and names of types that are no classes.
     (r"py:.*", r"mmc_gym\.agents\.base\.State"),
     (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),

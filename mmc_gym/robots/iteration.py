@@ -34,23 +34,15 @@ _TOGETHER = 4  # tries of which the nearest to a given start wins
 
 
 @compiled
-def settle_all(tries: Any, arm: Any, course: Any, pace: Any) -> None:
-    """Let each try settle, in place."""
+def settle_tries(tries: Any, courses: Any, paces: Any) -> None:
+    """Let each try settle, in place; there is one course, and one pace."""
     for t in range(tries.shape[0]):
-        _settle(tries[t], arm, course, pace)
+        _settle(tries[t], courses[0], paces[0])
 
 
 @compiled
-def solve(
-    tasks: Any,
-    starts: Any,
-    has_start: bool,
-    pool: Any,
-    ends: Any,
-    tries: Any,
-    arm: Any,
-    course: Any,
-    race: Any,
+def solve_tasks(
+    tasks: Any, starts: Any, has_start: bool, pool: Any, ends: Any, tries: Any, courses: Any
 ) -> None:
     """Write the end of the first try to settle for each task, or the nearest of all ends.
 
@@ -58,26 +50,27 @@ def solve(
     nearest.  The first try is from the given start, the others from one row of the pool after the
     other, those first that lack least.  Of four tries after a given start the nearest to it wins.
     """
+    course = courses[0]
     this, lacks = tries[0], np.empty(pool.shape[1])
     for t in range(len(tasks)):
         end = ends[t]
         end.rank, end.iterations = np.inf, 0
         _take(this, tasks[t], starts[t if has_start else 0])
-        for attempt in range(race.starts):
-            pace = race.quick if attempt < race.quick_tries else race.calm
+        for attempt in range(course.starts):
+            pace = course.quick if attempt < course.quick_tries else course.calm
             if has_start and attempt == 0:
                 _go_to(this, this.start)
                 _begin(this)
-                _see(this, arm, course, pace)
-                pace = race.near if this.merit < race.near_start else race.quick
+                _see(this, course, pace)
+                pace = course.near if this.merit < course.near_start else course.quick
             else:
                 row = pool[(attempt - has_start) // len(lacks)]
                 if (attempt - has_start) % len(lacks) == 0:
-                    _look(this, row, lacks, arm, course, pace)
+                    _look(this, row, lacks, course, pace)
                 nearest = np.argmin(lacks)
                 lacks[nearest] = np.inf
                 _go_to(this, row[nearest].angle)
-            _settle(this, arm, course, pace)
+            _settle(this, course, pace)
             end.iterations += this.iterations
             if this.rank < end.rank:
                 _keep(end, this)
@@ -85,8 +78,8 @@ def solve(
                 break
         if end.rank >= 0.0:
             _go_to(this, end.angle)
-            _settle(this, arm, course, race.last)
-            if race.has_both or this.rank < end.rank:
+            _settle(this, course, course.last)
+            if course.has_both or this.rank < end.rank:
                 _keep(end, this)
 
 
@@ -119,7 +112,7 @@ def _keep(end, this):
 
 
 @shared
-def _look(this, pool, lacks, arm, course, pace):
+def _look(this, pool, lacks, course, pace):
     """Find what postures of the pool lack; where joints are held, they have to be placed anew."""
     is_held = False
     for i in range(this.low.shape[0]):
@@ -128,15 +121,15 @@ def _look(this, pool, lacks, arm, course, pace):
         if is_held:
             _go_to(this, pool[p].angle)
             _begin(this)
-            _place(this, arm)
+            _place(this, course)
         else:
-            _recall(this, pool[p], arm)
+            _recall(this, pool[p], course)
         _compare(this, course, pace)
         lacks[p] = this.merit
 
 
 @inner
-def _recall(this, posture, arm):
+def _recall(this, posture, course):
     """Take over the nodes of a posture of the pool, and move a tool's along."""
     for a in range(3):
         this.shift[a] = posture.shift[a]
@@ -145,33 +138,33 @@ def _recall(this, posture, arm):
     for g in range(posture.node.shape[0]):
         for a in range(3):
             this.node[g, a] = posture.node[g, a]
-    for g in range(posture.node.shape[0], arm.nodes.shape[0]):
-        _place_node(this, arm.nodes, g)
+    for g in range(posture.node.shape[0], course.nodes.shape[0]):
+        _place_node(this, course.nodes, g)
 
 
 @shared
-def _settle(this, arm, course, pace):
+def _settle(this, course, pace):
     """Iterate until a try is near, polish it by Newton's method, and say where it has ended."""
     _begin(this)
-    _see(this, arm, course, pace)
+    _see(this, course, pace)
     this.iterations, before = 0, np.inf
     while this.iterations < pace.iterations and not _is_near(
         this, course.loose_far, course.loose_turn, pace
     ):
-        _estimate(this, arm, course, pace)
+        _estimate(this, course, pace)
         _move(this, course, pace)
-        _see(this, arm, course, pace)
+        _see(this, course, pace)
         this.iterations += 1
         if this.iterations % _STRIDE == 0:
             if this.merit > pace.stalled * before:
                 break
             before = this.merit
     for _ in range(pace.newton_steps):
-        _estimate(this, arm, course, pace)
-        _newton(this, arm, course, pace)
-        _see(this, arm, course, pace)
+        _estimate(this, course, pace)
+        _newton(this, course, pace)
+        _see(this, course, pace)
     if course.loose_far > 0.0:
-        away = _turn_back(this, arm)
+        away = _turn_back(this, course)
         is_settled = _is_near(this, course.far, course.turn, pace)
         this.rank = away - _SETTLED if is_settled else this.merit
         this.far = np.sqrt(this.miss)
@@ -187,26 +180,26 @@ def _begin(this):
 
 
 @shared
-def _see(this, arm, course, pace):
+def _see(this, course, pace):
     """Find where a posture is, and what is missing."""
-    _place(this, arm)
+    _place(this, course)
     _compare(this, course, pace)
 
 
 @inner
-def _place(this, arm):
+def _place(this, course):
     """Find nodes v_0g and axes u_i of a posture by the product of exponentials, see `arm`."""
     for a in range(3):
         this.shift[a] = 0.0
         for f in range(3):
             this.moved[a, f] = 1.0 * (a == f)
-    for i in range(arm.axes.shape[0]):
-        if i == 0 or arm.joint_nodes[i] != arm.joint_nodes[i - 1]:
-            _place_node(this, arm.nodes, arm.joint_nodes[i])
-        ux, uy, uz = arm.axes[i, 0], arm.axes[i, 1], arm.axes[i, 2]
-        px, py, pz = arm.points[i, 0], arm.points[i, 1], arm.points[i, 2]
-        angle = this.angle[arm.joints[i]]
-        s, c = sine_cosine(arm.turns[i] * angle)
+    for i in range(course.axes.shape[0]):
+        if i == 0 or course.joint_nodes[i] != course.joint_nodes[i - 1]:
+            _place_node(this, course.nodes, course.joint_nodes[i])
+        ux, uy, uz = course.axes[i, 0], course.axes[i, 1], course.axes[i, 2]
+        px, py, pz = course.points[i, 0], course.points[i, 1], course.points[i, 2]
+        angle = this.angle[course.joints[i]]
+        s, c = sine_cosine(course.turns[i] * angle)
         c = 1.0 - c
         for a in range(3):
             # A row r of the turn becomes r + sin q r×u + (1 − cos q) (u u·r − r).
@@ -217,13 +210,13 @@ def _place(this, arm):
             dz = s * (x * uy - y * ux) + c * (along * uz - z)
             this.axis[i, a] = along
             this.shift[a] -= dx * px + dy * py + dz * pz
-            this.shift[a] += arm.slides[i] * angle * along
+            this.shift[a] += course.slides[i] * angle * along
             this.moved[a, 0] = x + dx
             this.moved[a, 1] = y + dy
             this.moved[a, 2] = z + dz
-    last = arm.nodes.shape[0] - 1
-    for g in range(min(arm.joint_nodes[-1] + 1, last), last + 1):  # hand and tool
-        _place_node(this, arm.nodes, g)
+    last = course.nodes.shape[0] - 1
+    for g in range(min(course.joint_nodes[-1] + 1, last), last + 1):  # hand and tool
+        _place_node(this, course.nodes, g)
 
 
 @inner
@@ -284,38 +277,38 @@ def _is_near(this, far, turn, pace):
 
 
 @shared
-def _estimate(this, arm, course, pace):
+def _estimate(this, course, pace):
     """Find the estimates of the joints, α_j = `pull` / `leverage`."""
     for j in range(this.pull.shape[0]):
         this.pull[j], this.leverage[j] = 0.0, 1e-9
-    for i in range(arm.axes.shape[0]):
-        g, j, ratio = arm.joint_nodes[i], arm.joints[i], arm.turns[i]
+    for i in range(course.axes.shape[0]):
+        g, j, ratio = course.joint_nodes[i], course.joints[i], course.turns[i]
         spin = this.axis[i, 0] * this.spin[0] + this.axis[i, 1] * this.spin[1]
         spin = spin + this.axis[i, 2] * this.spin[2]
         this.pull[j] += pace.weight * ratio * spin
         this.leverage[j] += pace.weight * ratio * ratio
-        for h in range(g + 1, arm.nodes.shape[0]):
+        for h in range(g + 1, course.nodes.shape[0]):
             if course.is_placed[h]:
-                x, y, z = _lever(this, arm, i, h)
+                x, y, z = _lever(this, course, i, h)
                 this.pull[j] += x * this.gap[h, 0] + y * this.gap[h, 1] + z * this.gap[h, 2]
                 this.leverage[j] += x * x + y * y + z * z
                 this.leverage[j] += ratio * ratio * max(_stretch(this, i, g, h), 0.0)
-        for m in range(i + 1, arm.axes.shape[0]):
-            if arm.joints[m] == j:
-                _couple(this, arm, course, pace, i, m)
+        for m in range(i + 1, course.axes.shape[0]):
+            if course.joints[m] == j:
+                _couple(this, course, pace, i, m)
 
 
 @inner
-def _couple(this, arm, course, pace, i, m):
+def _couple(this, course, pace, i, m):
     """Add to the leverage of a joint what two of its axes have together, i before m."""
-    j, ratio = arm.joints[i], arm.turns[i]
+    j, ratio = course.joints[i], course.turns[i]
     for a in range(3):
         along = this.axis[i, a] * this.axis[m, a]
-        this.leverage[j] += 2.0 * pace.weight * ratio * arm.turns[m] * along
-    for h in range(arm.joint_nodes[m] + 1, arm.nodes.shape[0]):
+        this.leverage[j] += 2.0 * pace.weight * ratio * course.turns[m] * along
+    for h in range(course.joint_nodes[m] + 1, course.nodes.shape[0]):
         if course.is_placed[h]:
-            x, y, z = _lever(this, arm, i, h)
-            u, v, w = _lever(this, arm, m, h)
+            x, y, z = _lever(this, course, i, h)
+            u, v, w = _lever(this, course, m, h)
             this.leverage[j] += 2.0 * (x * u + y * v + z * w)
             ux, uy, uz = this.axis[i, 0], this.axis[i, 1], this.axis[i, 2]
             bend = (uy * w - uz * v) * this.gap[h, 0]
@@ -325,9 +318,9 @@ def _couple(this, arm, course, pace, i, m):
 
 
 @inner
-def _lever(this, arm, i, h):
+def _lever(this, course, i, h):
     """Return l_ih: how fast axis i moves node h, for a displacement of its joint."""
-    g, ratio, slide = arm.joint_nodes[i], arm.turns[i], arm.slides[i]
+    g, ratio, slide = course.joint_nodes[i], course.turns[i], course.slides[i]
     x = this.node[h, 0] - this.node[g, 0]
     y = this.node[h, 1] - this.node[g, 1]
     z = this.node[h, 2] - this.node[g, 2]
@@ -375,27 +368,29 @@ def _move(this, course, pace):
 
 
 @inner
-def _newton(this, arm, course, pace):
+def _newton(this, course, pace):
     """Do a damped step of Newton's method; joints that it brings to a limit rest in the next.
 
     With e, what is missing, and the levers J of the joints it solves (JᵀJ + λ I) Δq = Jᵀe, where
     λ = |e|² or more (Levenberg), by Gauss-Jordan elimination.
     """
-    joints, axes = this.angle.shape[0], arm.axes.shape[0]
+    joints, axes = this.angle.shape[0], course.axes.shape[0]
     for i in range(joints):
         for j in range(joints):
             this.row[i, j] = 0.0
     for i in range(axes):
         for m in range(axes):
-            p, r, weight = arm.joints[i], arm.joints[m], pace.weight * arm.turns[i] * arm.turns[m]
+            p, r = course.joints[i], course.joints[m]
+            weight = pace.weight * course.turns[i] * course.turns[m]
             for a in range(3):
                 this.row[p, r] += weight * (this.axis[i, a] * this.axis[m, a])
             # A direction is one vector, which hinges along it do not move.
             this.row[p, r] -= weight * (_along(this, i) * _along(this, m))
-            for h in range(max(arm.joint_nodes[i], arm.joint_nodes[m]) + 1, arm.nodes.shape[0]):
+            last = max(course.joint_nodes[i], course.joint_nodes[m])
+            for h in range(last + 1, course.nodes.shape[0]):
                 if course.is_placed[h]:
-                    x, y, z = _lever(this, arm, i, h)
-                    u, v, w = _lever(this, arm, m, h)
+                    x, y, z = _lever(this, course, i, h)
+                    u, v, w = _lever(this, course, m, h)
                     this.row[p, r] += x * u + y * v + z * w
     for i in range(joints):
         this.row[i, i] += this.merit + course.ridge + _HELD * (1.0 - this.free[i])
@@ -413,7 +408,7 @@ def _newton(this, arm, course, pace):
 
 
 @inner
-def _turn_back(this, arm):
+def _turn_back(this, course):
     """Turn joints by whole turns, as near to `start` as limits allow; return |q − start|².
 
     Of slides, and of joints that turn an axis by a part of a turn meanwhile, there are none.
@@ -423,7 +418,7 @@ def _turn_back(this, arm):
         low, high, angle = this.low[i], this.high[i], this.angle[i]
         count = np.floor((this.start[i] - angle) / turn + 0.5)
         count = min(count, np.floor((high - angle) / turn))
-        count = max(count, np.ceil((low - angle) / turn)) * arm.has_turns[i]
+        count = max(count, np.ceil((low - angle) / turn)) * course.has_turns[i]
         this.angle[i] = min(max(angle + turn * count, low), high)
         away += (this.angle[i] - this.start[i]) ** 2
     return away

@@ -70,18 +70,18 @@ from mmc_gym._errors import (
 from mmc_gym.geometry import Floats
 from mmc_gym.robots.arm import HingeArm, nearest_rotations, require_poses
 from mmc_gym.robots.records import (
-    Course,
+    Hold,
     Pace,
     Race,
-    Tolerance,
-    ZeroPosture,
+    Records,
+    course_of,
     end_type,
     posture_type,
     task_type,
+    tool_pose,
     try_type,
 )
 
-Records = NDArray[np.void]
 Axis = Literal["x", "y", "z"]
 HeldJoints: TypeAlias = "Mapping[int, ArrayLike] | Mapping[str, ArrayLike]"
 
@@ -102,7 +102,6 @@ PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of toler
 PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
 _NO_START = "without prefer or solutions, where all starts settle"
-_ENDLESS = Tolerance(0.0, 0.0, 0.0, 0.0, 0.0)  # of what does not stop
 _AXES = get_args(Axis)
 _NO_TURN: Floats = np.zeros((3, 3))
 _SINGLE = float(np.finfo(np.float32).eps)
@@ -121,11 +120,7 @@ class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
     tasks: Records  #: the limits and places, an array (...) of `records.task_type`
-    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,), or one more with a tool
-    has_rotation: bool  #: whether the hand's rotation, or a direction of it, is held
-    free_joints: int  #: number of joints that are not held
-    arm: ZeroPosture  #: with the point of a tool as last node
-    axis: Floats  #: of the hand in the zero posture that is held in a direction, or zeros, (3,)
+    hold: Hold  #: which nodes, and what else
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +214,7 @@ class HingeNetwork:
             tool: a point of a tool, seen from the hand, (3,), or its pose, (4, 4).  Position,
                 rotation, pose and direction are then those of the tool.
         """
-        arm, zero_posture, home = self.arm, self._zero_posture, self.arm.home
+        arm, home, last = self.arm, self.arm.home, self.arm.node_count - 1
         angles = self._held(held) if held else {}
         places = self._places(points) if points else {}
         if pose is not None:
@@ -233,14 +228,12 @@ class HingeNetwork:
             rotations = None if rotation is None else _rotations(rotation)
         require(rotation is None or direction is None, "direction", direction, "without rotation")
         require_choice("axis", axis, _AXES)
-        if tool is not None:
-            home = home @ _tool_pose(tool)
-            nodes = np.vstack([zero_posture.nodes, home[:3, 3]])
-            zero_posture = zero_posture._replace(nodes=nodes)
-        last = len(zero_posture.nodes) - 1
+        tool_bytes = None if tool is None else _tool_pose(tool).tobytes()
+        if tool_bytes is not None:
+            home, last = home @ tool_pose(tool_bytes), last + 1
         if place is not None:
             places[last] = place
-        turn, held_axis = _NO_TURN, _NO_TURN[0]  # of the whole arm in its zero posture
+        turn, column = _NO_TURN, None  # of the whole arm in its zero posture
         if rotations is not None:
             turn = rotations @ home[:3, :3].T
         elif direction is not None:
@@ -248,9 +241,8 @@ class HingeNetwork:
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
             require(bool((length > 0).all()), "direction", direction, "other than zero")
             column = _AXES.index(axis)
-            held_axis = home[:3, column].copy()  # a slice would be compiled anew
             # The product of this and the turn of a posture has twice the cosine as its trace.
-            turn = 2 * (aim / length)[..., :, None] * held_axis
+            turn = 2 * (aim / length)[..., :, None] * home[:3, column]
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
@@ -260,10 +252,9 @@ class HingeNetwork:
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
             tasks["place"][..., node, :] = place
-        is_placed = np.array([node in places for node in range(last + 1)])
         has_rotation = rotations is not None or direction is not None
         free = max(1, arm.joint_count - len(angles))
-        return HingeClamps(tasks, is_placed, has_rotation, free, zero_posture, held_axis)
+        return HingeClamps(tasks, Hold(tuple(places), has_rotation, column, tool_bytes, free))
 
     def _held(self, held: HeldJoints) -> dict[int, Floats]:
         """Return the angles of held joints by index, within their limits."""
@@ -302,9 +293,10 @@ class HingeNetwork:
         batch = require_batch("state", [state.joint_angles.shape[:-1], clamps.tasks.shape])
         tries = self._tries(np.broadcast_to(clamps.tasks, batch))
         tries["angle"], tries["velocity"] = state.joint_angles, state.joint_velocities
-        pace = self._pace(clamps.free_joints, clamps.has_rotation, iterations)
-        course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *_ENDLESS)
-        _compiled().settle_all(tries.reshape(-1), clamps.arm, course, pace)
+        pace = self._pace(clamps.hold, iterations)
+        race = Race(pace, pace, pace, pace, self.velocity_decay)
+        course = course_of(self.arm, clamps.hold, race)
+        _compiled().settle_tries(tries.reshape(-1), course, course["near"])
         return HingeState(tries["angle"].copy(), tries["velocity"].copy())
 
     def solve(  # noqa: D417  (`clamp` describes the others)
@@ -370,14 +362,11 @@ class HingeNetwork:
             if not tasks.shape == near.shape[:-1] == batch:
                 near = np.broadcast_to(near, (*batch, n)).copy()
                 tasks = np.broadcast_to(tasks, batch).copy()
-        has_place = not (position is None and pose is None and not points)
-        if not (has_place or clamps.has_rotation or held):
+        if not (clamps.hold.nodes or clamps.hold.has_rotation or held):
             accepted = "a position, a rotation, a pose, a direction, points or held"
             raise UserError(f"solve must be given a task: {accepted}")
         count = 1 if solutions is None else require_whole("solutions", solutions, most=starts)
-        kind = clamps.free_joints, clamps.has_rotation, has_place
-        bounds, race = _race(self, *kind, (far, turn), iterations, starts)
-        course = Course(clamps.is_placed, clamps.axis, float(self.velocity_decay), *bounds)
+        course = _course(self, clamps.hold, far, turn, iterations, starts)
         pool = _pool(self.arm, -(-starts // POOL), seed)
         tasks, near = tasks.ravel(), near.reshape(-1, n)
         ends = np.empty((len(tasks), count), end_type(n))
@@ -387,10 +376,10 @@ class HingeNetwork:
                 tries = self._tries(np.broadcast_to(task, starts))
                 tries["angle"], tries["start"] = angles[:starts], near[row]
                 tries["angle"][0] = near[row]
-                ends[row] = _nearest(tries, clamps.arm, course, race, count)
+                ends[row] = _nearest(tries, course, count)
         else:
-            shared = np.empty(1, self._try_type(tasks)), clamps.arm, course, race
-            _compiled().solve(tasks, near, has_start, pool, ends[:, 0], *shared)
+            tries = np.empty(1, self._try_type(tasks))
+            _compiled().solve_tasks(tasks, near, has_start, pool, ends[:, 0], tries, course)
         ends = ends.reshape(batch if solutions is None else (*batch, count))
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
@@ -406,11 +395,12 @@ class HingeNetwork:
             tries[name] = tasks[name]
         return tries
 
-    def _pace(self, free_joints: int, has_rotation: bool, iterations: int) -> Pace:
+    def _pace(self, hold: Hold, iterations: int) -> Pace:
         """Return the pace of `run` and of the first starts."""
+        free_joints = hold.free_joints
         is_calm = self.damping or free_joints <= FEW
         share = self._calm_share(free_joints) if is_calm else 3 / free_joints
-        weight = 2 * (self.hand_size * self._length) ** 2 if has_rotation else 0.0
+        weight = 2 * (self.hand_size * self._length) ** 2 if hold.has_rotation else 0.0
         return Pace(share, weight, iterations, newton_steps=0, stalled=np.inf)
 
     def _calm_share(self, free_joints: int) -> float:
@@ -420,10 +410,11 @@ class HingeNetwork:
     @cached_property
     def _length(self) -> float:
         """Return the length of the arm, m: of its segments and of the strokes of its slides."""
-        arm = self._zero_posture
-        segments = np.linalg.norm(np.diff(arm.nodes, axis=0), axis=1)
-        farthest = np.abs(self.arm.limits).max(axis=1)[arm.joints]
-        strokes = np.abs(arm.slides[arm.slides != 0] * farthest[arm.slides != 0])
+        arm = self.arm
+        nodes, slides = arm.nodes(np.zeros(arm.joint_count)), np.array(arm.is_slide)
+        segments = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+        farthest = np.abs(arm.limits).max(axis=1)[np.array(arm.axis_joints)[slides]]
+        strokes = np.abs(np.array(arm.ratios)[slides] * farthest)
         return float(segments.sum() + strokes.sum()) or 1.0
 
     @cached_property
@@ -432,10 +423,6 @@ class HingeNetwork:
         has_both = np.isfinite(self.arm.limits).all(axis=1, keepdims=True)
         middle: Floats = np.where(has_both, self.arm.limits, 0.0).mean(axis=1)
         return middle
-
-    @cached_property
-    def _zero_posture(self) -> ZeroPosture:
-        return ZeroPosture.of(self.arm)
 
 
 @cache
@@ -446,39 +433,41 @@ def _compiled() -> ModuleType:
 
 
 @lru_cache(maxsize=16)
-def _race(
-    network: HingeNetwork,
-    free_joints: int,
-    has_rotation: bool,
-    has_place: bool,
-    tolerance: tuple[float, float],
-    iterations: int,
-    starts: int,
-) -> tuple[Tolerance, Race]:
+def _course(
+    network: HingeNetwork, hold: Hold, far: float, turn: float, iterations: int, starts: int
+) -> Records:
     """Return when tries are near, and how they follow each other."""
-    (far, turn), length = tolerance, network._length
+    length = network._length
     exact = max(EXACT[0], EXACT_SHARE * length), EXACT[1]
     is_exact = far < exact[0] or turn < exact[1]
     early = EARLY if is_exact and starts > 1 else (1, 1)
     loose = max(far, early[0] * exact[0]), max(turn, early[1] * exact[1])
-    bounds = Tolerance(far, turn, *loose, ridge=(RIDGE * far) ** 2)
-    plain = network._pace(free_joints, has_rotation, iterations)
+    plain = network._pace(hold, iterations)
     near = plain._replace(newton_steps=NEWTON_STEPS)
     few = min(iterations, QUICK_ITERATIONS)
     quick = (near if is_exact else plain)._replace(iterations=few, stalled=STALLED)
     # Those that are left are hard, such as postures with all joints at limits.
-    last = plain._replace(share=network._calm_share(free_joints))
+    last = plain._replace(share=network._calm_share(hold.free_joints))
     calm = last._replace(newton_steps=NEWTON_STEPS, stalled=STALLED)
     # So little weight of the rotation costs a share of the tolerance of places at most.
-    weight, has_both = min(PLACE_FIRST * far * length, plain.weight), has_rotation and has_place
+    weight = min(PLACE_FIRST * far * length, plain.weight)
+    has_both = hold.has_rotation and bool(hold.nodes)
     if has_both:
         last = Pace(0.0, weight, iterations=0, newton_steps=PLACE_STEPS, stalled=np.inf)
     elif starts == 1:
         last = last._replace(iterations=0)
     if starts == 1:  # such as that of an agent's step: it has all iterations
         quick = quick._replace(iterations=iterations, stalled=np.inf)
-    paces, near_start = (near, quick, calm, last), (NEAR_START * length) ** 2
-    return bounds, Race(*paces, near_start, QUICK_TRIES, starts, has_both)
+    race = Race(
+        *(near, quick, calm, last),
+        *(network.velocity_decay, far, turn, *loose),
+        ridge=(RIDGE * far) ** 2,
+        near_start=(NEAR_START * length) ** 2,
+        quick_tries=QUICK_TRIES,
+        starts=starts,
+        has_both=has_both,
+    )
+    return course_of(network.arm, hold, race)
 
 
 @lru_cache(maxsize=16)
@@ -501,16 +490,16 @@ def _pool(arm: HingeArm, rows: int, seed: int) -> Records:
     return pool
 
 
-def _nearest(tries: Records, arm: ZeroPosture, course: Course, race: Race, count: int) -> Records:
+def _nearest(tries: Records, course: Records, count: int) -> Records:
     """Let all tries of a task settle; return those that differ, nearest to its start, (count,)."""
-    _compiled().settle_all(tries, arm, course, race.calm)
+    _compiled().settle_tries(tries, course, course["calm"])
     kind = end_type(tries["angle"].shape[1])
     nearest = np.zeros(count, kind)
     for name in ("angle", "far", "turn"):
         nearest[name] = np.nan
     tries = tries[np.argsort(tries["rank"], kind="stable")]
     if tries["rank"][0] >= 0:
-        _compiled().settle_all(tries[:1], arm, course, race.last)
+        _compiled().settle_tries(tries[:1], course, course["last"])
     ends = tries[list(kind.names or ())]
     nearest[0], size = ends[0], 1
     for end in ends[ends["rank"] < 0]:
@@ -518,7 +507,7 @@ def _nearest(tries: Records, arm: ZeroPosture, course: Course, race: Race, count
             break
         gap = np.abs(nearest["angle"][:size] - end["angle"])
         turned = np.minimum(gap, np.abs(gap - 2 * np.pi))
-        if np.where(arm.has_turns, turned, gap).max(axis=1).min() > DISTINCT:
+        if np.where(course["has_turns"][0], turned, gap).max(axis=1).min() > DISTINCT:
             nearest[size] = end
             size += 1
     return nearest

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,59 +11,22 @@ from numpy.typing import NDArray
 from mmc_gym.geometry import Floats
 from mmc_gym.robots.arm import HingeArm
 
-
-class ZeroPosture(NamedTuple):
-    """A `HingeArm` in its zero posture: nodes, a tool's point too, and axes with their joints."""
-
-    axes: Floats  #: (a, 3)
-    points: Floats  #: (a, 3)
-    nodes: Floats  #: (N + 1, 3)
-    joint_nodes: NDArray[np.int64]  #: the node of each axis, (a,)
-    joints: NDArray[np.int64]  #: the joint that moves each axis, (a,)
-    turns: Floats  #: by how much a displacement of its joint turns each axis, 0 of a slide, (a,)
-    slides: Floats  #: how far it slides along the axis, 0 of a hinge, (a,)
-    has_turns: Floats  #: 1 where a whole turn of a joint changes nothing, otherwise 0, (n,)
-
-    @classmethod
-    def of(cls, arm: HingeArm) -> ZeroPosture:
-        """Return that of an arm."""
-        nodes = arm.nodes(np.zeros(arm.joint_count))
-        joints, ratios, is_slide = map(np.array, (arm.axis_joints, arm.ratios, arm.is_slide))
-        has_turns = np.ones(arm.joint_count)
-        has_turns[joints[is_slide | (ratios % 1 != 0)]] = 0.0
-        return cls(
-            axes=arm.axes,
-            points=arm.points,
-            nodes=nodes,
-            joint_nodes=np.array(arm.joint_nodes),
-            joints=joints,
-            turns=np.where(is_slide, 0.0, ratios),
-            slides=np.where(is_slide, ratios, 0.0),
-            has_turns=has_turns,
-        )
+Records: TypeAlias = NDArray[np.void]
 
 
-class Tolerance(NamedTuple):
-    """When a try is near; all 0 where iterations shall not stop."""
+class Hold(NamedTuple):
+    """What a task holds; of its parts those that are not numbers."""
 
-    far: float  #: from held nodes, m
-    turn: float  #: of the hand's rotation, radians
-    loose_far: float  #: the same two, at which iterations stop
-    loose_turn: float
-    ridge: float  #: least damping of Newton's method, m²
+    nodes: tuple[int, ...]  #: held nodes, the hand or the tool among them
+    has_rotation: bool  #: whether the hand's rotation, or a direction of it, is held
+    axis: int | None  #: the axis of the hand that is held in a direction
+    tool: bytes | None  #: pose of the tool, (4, 4), as bytes
+    free_joints: int  #: number of joints that are not held
 
 
-class Course(NamedTuple):
-    """What is held, and when it is reached: after `decay` the fields of `Tolerance`."""
-
-    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
-    axis: Floats  #: of the hand in the zero posture that is held in a direction, or zeros, (3,)
-    decay: float  #: factor on the velocity
-    far: float
-    turn: float
-    loose_far: float
-    loose_turn: float
-    ridge: float
+def tool_pose(tool: bytes) -> Floats:
+    """Return the pose of a tool that a `Hold` has, (4, 4)."""
+    return np.frombuffer(tool).reshape(4, 4)
 
 
 class Pace(NamedTuple):
@@ -72,21 +35,73 @@ class Pace(NamedTuple):
     share: float  #: 1/d
     weight: float  #: 2 s² where the hand's rotation or a direction of it is held, otherwise 0
     iterations: int  #: at most
-    newton_steps: int  #: steps of Newton's method that follow
+    newton_steps: int  #: steps of Newton's method that follow, at most
     stalled: float  #: share of what it lacks that ten iterations leave of a try that ends there
 
 
 class Race(NamedTuple):
-    """How `HingeNetwork.solve` tries one start after the other."""
+    """How `HingeNetwork.solve` tries one start after the other, and when a try is near."""
 
-    near: Pace  #: of a given start that lacks less than `near_start`
+    near: Pace  #: of a given start that lacks less than `near_start`; the pace of `run`
     quick: Pace  #: of the next ones
     calm: Pace  #: of those that follow
     last: Pace  #: of the nearest end, where none has settled
-    near_start: float  #: m²
-    quick_tries: int
-    starts: int  #: at most
-    has_both: bool  #: whether places and rotation are held
+    decay: float  #: factor on the velocity
+    far: float = 0.0  #: tolerance of held nodes, m; all are 0 where iterations shall not stop
+    turn: float = 0.0  #: tolerance of the hand's rotation, radians
+    loose_far: float = 0.0  #: the same two, at which iterations stop
+    loose_turn: float = 0.0
+    ridge: float = 0.0  #: least damping of Newton's method, m²
+    near_start: float = 0.0  #: m²
+    quick_tries: int = 0
+    starts: int = 0  #: at most
+    has_both: bool = False  #: whether places and rotation are held
+
+
+def course_of(arm: HingeArm, hold: Hold, race: Race) -> Records:
+    """Return what all tries of a solve share, an array (1,) of `course_type`."""
+    nodes = arm.nodes(np.zeros(arm.joint_count))
+    home = arm.home
+    if hold.tool is not None:
+        home = home @ tool_pose(hold.tool)
+        nodes = np.vstack([nodes, home[:3, 3]])
+    joints, ratios, is_slide = map(np.array, (arm.axis_joints, arm.ratios, arm.is_slide))
+    course = np.zeros(1, course_type(arm.joint_count, len(nodes), len(arm.axes)))
+    course["axes"], course["points"], course["nodes"] = arm.axes, arm.points, nodes
+    course["joint_nodes"], course["joints"] = arm.joint_nodes, joints
+    course["turns"] = np.where(is_slide, 0.0, ratios)
+    course["slides"] = np.where(is_slide, ratios, 0.0)
+    course["has_turns"] = 1.0
+    course["has_turns"][:, joints[is_slide | (ratios % 1 != 0)]] = 0.0
+    course["is_placed"][:, list(hold.nodes)] = 1
+    if hold.axis is not None:
+        course["axis"] = home[:3, hold.axis]
+    for name, value in race._asdict().items():
+        course[name] = value
+    return course
+
+
+@lru_cache
+def course_type(joints: int, nodes: int, axes: int) -> np.dtype[np.void]:
+    """Return the type of what all tries share: an arm, what is held, and a `Race`.
+
+    The arm is that of the zero posture, with the point of a tool as last node.  An axis belongs to
+    the node `joint_nodes`; a displacement of the joint `joints` turns it by `turns`, or makes it
+    slide by `slides`.  `has_turns` is 1 where a whole turn of a joint changes nothing, otherwise 0.
+    `is_placed` is 1 for held nodes, and `axis` that of the hand that is held in a direction, or 0.
+    """
+    shapes = {"axes": (axes, 3), "points": (axes, 3), "nodes": (nodes, 3), "axis": (3,)}
+    shapes |= {"turns": (axes,), "slides": (axes,), "has_turns": (joints,)}
+    numbers = [(name, np.float64, shape) for name, shape in shapes.items()]
+    whole = [(name, np.int64, (axes,)) for name in ("joint_nodes", "joints")]
+    placed = ("is_placed", np.uint8, (nodes,))  # numba knows no bools in arrays of a record
+    return np.dtype([*numbers, *whole, placed, *_fields(Race)])
+
+
+def _fields(kind: type) -> list[Any]:
+    """Return the fields of a record that has those of a `Pace` or a `Race`."""
+    parts = get_type_hints(kind).items()
+    return [(name, _fields(part) if part is Pace else part) for name, part in parts]
 
 
 @lru_cache

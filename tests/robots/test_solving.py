@@ -118,7 +118,7 @@ def test_a_product_of_a_hundred_rotations_in_single_precision_is_a_rotation():
     for _ in range(100):
         turn = turn @ step * np.float32(1 + 1e-7)
     network = HingeNetwork(PANDA)
-    assert network.clamp(rotation=turn).has_rotation
+    assert network.clamp(rotation=turn).hold.has_rotation
     home = PANDA.home.round(6) + 1e-4 * np.eye(4, k=1) * (np.arange(4)[:, None] < 2)
     assert np.allclose(replace(PANDA, home=home).home, PANDA.home, atol=2e-4)
 
