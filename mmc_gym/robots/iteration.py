@@ -30,6 +30,7 @@ from mmc_gym._compiling import compiled, inner, shared, sine_cosine
 _HELD = 1e12  # damping of a joint that rests
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
 _STRIDE = 10  # iterations between two looks at what a try still lacks
+_FINE = 1e-3  # what Newton's method leaves at most, shares of the tolerances, if it has steps left
 _TOGETHER = 4  # tries of which the nearest to a given start wins
 
 
@@ -160,6 +161,8 @@ def _settle(this, course, pace):
                 break
             before = this.merit
     for _ in range(pace.newton_steps):
+        if _is_near(this, _FINE * course.far, _FINE * course.turn, pace):
+            break
         _estimate(this, course, pace)
         _newton(this, course, pace)
         _see(this, course, pace)
