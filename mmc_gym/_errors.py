@@ -133,8 +133,10 @@ def require_between(least: float, most: float, **values: object) -> None:
 
 def require_whole(name: str, value: Any, least: int = 1, most: float = _MOST) -> int:
     """Return a whole number of at least `least` and at most `most`."""
-    require(is_whole(value) and value >= least, name, value, f"a whole number of at least {least}")
-    require(value <= most, name, value, f"at most {most}")
+    if not (is_whole(value) and least <= value <= most):  # to tell what is accepted takes a while
+        too_many = is_whole(value) and value > most
+        accepted = f"at most {most}" if too_many else f"a whole number of at least {least}"
+        require(False, name, value, accepted)
     return int(value)
 
 

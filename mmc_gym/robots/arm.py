@@ -33,7 +33,6 @@ from numpy.typing import ArrayLike
 
 from mmc_gym._errors import (
     UserError,
-    all_true,
     is_whole,
     missing,
     require,
@@ -47,7 +46,7 @@ from mmc_gym.geometry import Floats
 
 NamedArm = Literal["panda", "ur5", "iiwa"]
 _TABLES = Path(__file__).with_name("arms.yml")
-_LAST_ROW = np.eye(4)[3]  # of a pose
+_LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a pose
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
 # Largest deviation of a rotation times its transpose from the identity: as it is, and rounded.
 _SQUARE, _ROUNDED = 1e-6, 1e-3
@@ -97,8 +96,12 @@ def require_poses(name: str, value: ArrayLike) -> Floats:
     """Return poses (..., 4, 4); raise a `UserError` for what is none."""
     poses = require_floats(name, value, (4, 4)).astype(np.float64, copy=False)
     accepted = "a pose: a rotation, a position and the row 0, 0, 0, 1"
-    require(all_true(poses[..., 3, :] == _LAST_ROW), name, value, accepted)
-    poses[..., :3, :3] = nearest_rotations(name, poses[..., :3, :3])
+    are_poses = all(row == _LAST_ROW for row in poses[..., 3, :].reshape(-1, 4).tolist())
+    require(are_poses, name, value, accepted)
+    rotations = poses[..., :3, :3]
+    nearest = nearest_rotations(name, rotations)
+    if nearest is not rotations:
+        poses[..., :3, :3] = nearest
     return poses
 
 

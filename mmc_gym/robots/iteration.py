@@ -43,16 +43,17 @@ def settle_tries(tries: Any, courses: Any, paces: Any) -> None:
 
 @compiled
 def solve_tasks(
-    tasks: Any, starts: Any, has_start: bool, pool: Any, ends: Any, tries: Any, courses: Any
+    tasks: Any, starts: Any, has_start: bool, pool: Any, ends: Any, kind: Any, courses: Any
 ) -> None:
     """Write the end of the first try to settle for each task, or the nearest of all ends.
 
     `starts` has a given start for each task, or else a row for all, to which whole turns are
     nearest.  The first try is from the given start, the others from one row of the pool after the
     other, those first that lack least.  Of four tries after a given start the nearest to it wins.
+    `kind` is an array of no tries.
     """
-    course = courses[0]
-    this, lacks = tries[0], np.empty(pool.shape[1])
+    course, lacks = courses[0], np.empty(pool.shape[1])
+    this = np.empty(1, kind.dtype)[0]  # Python takes ten times as long to make one
     for t in range(len(tasks)):
         end = ends[t]
         end.rank, end.iterations = np.inf, 0
@@ -110,6 +111,7 @@ def _keep(end, this):
     for i in range(this.angle.shape[0]):
         end.angle[i] = this.angle[i]
     end.far, end.turn, end.rank = this.far, this.turn, this.rank
+    end.is_solved = this.is_solved
 
 
 @shared
@@ -168,8 +170,8 @@ def _settle(this, course, pace):
         _see(this, course, pace)
     if course.loose_far > 0.0:
         away = _turn_back(this, course)
-        is_settled = _is_near(this, course.far, course.turn, pace)
-        this.rank = away - _SETTLED if is_settled else this.merit
+        this.is_solved = _is_near(this, course.far, course.turn, pace)
+        this.rank = away - _SETTLED if this.is_solved else this.merit
         this.far = np.sqrt(this.miss)
         this.turn = np.arctan2(np.sqrt(this.sine), this.cosine) if pace.weight > 0.0 else 0.0
 

@@ -101,6 +101,7 @@ CALM = 0.6  # damping that is enough for any, shares of the free joints
 PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of tolerance × arm's length
 PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
+_TOLERANCES = "two positive numbers, of position in m and of rotation in radians"
 _NO_START = "without prefer or solutions, where all starts settle"
 _AXES = get_args(Axis)
 _NO_TURN: Floats = np.zeros((3, 3))
@@ -235,7 +236,7 @@ class HingeNetwork:
             places[last] = place
         turn, column = _NO_TURN, None  # of the whole arm in its zero posture
         if rotations is not None:
-            turn = rotations @ home[:3, :3].T
+            turn = rotations @ (self._home_turn if tool is None else home[:3, :3].T)
         elif direction is not None:
             aim = _floats("direction", direction, (3,))
             length = np.linalg.norm(aim, axis=-1, keepdims=True)
@@ -350,8 +351,7 @@ class HingeNetwork:
         require_whole("starts", starts)
         require_whole("iterations", iterations)
         require_whole("seed", seed, least=0, most=np.inf)
-        accepted = "two positive numbers, of position in m and of rotation in radians"
-        far, turn = require_numbers("tolerance", tolerance, accepted, _are_tolerances)
+        far, turn = require_numbers("tolerance", tolerance, _TOLERANCES, _are_tolerances)
         require(start is None or (prefer is None and solutions is None), "start", start, _NO_START)
         tasks, near, batch = clamps.tasks, self._middle, clamps.tasks.shape
         n, has_start = len(near), start is not None
@@ -366,7 +366,7 @@ class HingeNetwork:
             accepted = "a position, a rotation, a pose, a direction, points or held"
             raise UserError(f"solve must be given a task: {accepted}")
         count = 1 if solutions is None else require_whole("solutions", solutions, most=starts)
-        course = _course(self, clamps.hold, far, turn, iterations, starts)
+        course, kind = _course(self, clamps.hold, far, turn, iterations, starts)
         pool = _pool(self.arm, -(-starts // POOL), seed)
         tasks, near = tasks.ravel(), near.reshape(-1, n)
         ends = np.empty((len(tasks), count), end_type(n))
@@ -378,19 +378,15 @@ class HingeNetwork:
                 tries["angle"][0] = near[row]
                 ends[row] = _nearest(tries, course, count)
         else:
-            tries = np.empty(1, self._try_type(tasks))
-            _compiled().solve_tasks(tasks, near, has_start, pool, ends[:, 0], tries, course)
+            _compiled().solve_tasks(tasks, near, has_start, pool, ends[:, 0], kind, course)
         ends = ends.reshape(batch if solutions is None else (*batch, count))
-        errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
-        return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
-
-    def _try_type(self, tasks: Records) -> np.dtype[np.void]:
-        nodes = tasks.dtype["place"].shape[0]
-        return try_type(self.arm.joint_count, nodes, len(self.arm.axes))
+        fields = ("angle", "far", "turn", "iterations", "is_solved")
+        return HingeSolution(*(ends[name] for name in fields))
 
     def _tries(self, tasks: Records) -> Records:
         """Return tries at rest for tasks (...)."""
-        tries = np.zeros(tasks.shape, self._try_type(tasks))
+        kind = try_type(self.arm.joint_count, tasks.dtype["place"].shape[0], len(self.arm.axes))
+        tries = np.zeros(tasks.shape, kind)
         for name in tasks.dtype.names or ():
             tries[name] = tasks[name]
         return tries
@@ -418,6 +414,11 @@ class HingeNetwork:
         return float(segments.sum() + strokes.sum()) or 1.0
 
     @cached_property
+    def _home_turn(self) -> Floats:
+        """Return the inverse rotation of the hand in the zero posture, for speed without gaps."""
+        return self.arm.home[:3, :3].T.copy()
+
+    @cached_property
     def _middle(self) -> Floats:
         """Return the middle of each joint's range, 0 where it has none, (n,)."""
         has_both = np.isfinite(self.arm.limits).all(axis=1, keepdims=True)
@@ -435,8 +436,8 @@ def _compiled() -> ModuleType:
 @lru_cache(maxsize=16)
 def _course(
     network: HingeNetwork, hold: Hold, far: float, turn: float, iterations: int, starts: int
-) -> Records:
-    """Return when tries are near, and how they follow each other."""
+) -> tuple[Records, Records]:
+    """Return when tries are near and how they follow each other, and an array of no tries."""
     length = network._length
     exact = max(EXACT[0], EXACT_SHARE * length), EXACT[1]
     is_exact = far < exact[0] or turn < exact[1]
@@ -467,7 +468,9 @@ def _course(
         starts=starts,
         has_both=has_both,
     )
-    return course_of(network.arm, hold, race)
+    course = course_of(network.arm, hold, race)
+    nodes = course["nodes"].shape[1]
+    return course, np.empty(0, try_type(network.arm.joint_count, nodes, len(network.arm.axes)))
 
 
 @lru_cache(maxsize=16)
@@ -514,7 +517,7 @@ def _nearest(tries: Records, course: Records, count: int) -> Records:
 
 
 def _are_tolerances(bounds: tuple[float, ...]) -> bool:
-    return len(bounds) == 2 and all(0 < bound < np.inf for bound in bounds)
+    return len(bounds) == 2 and 0 < bounds[0] < np.inf and 0 < bounds[1] < np.inf
 
 
 def _tool_pose(tool: ArrayLike) -> Floats:

@@ -120,9 +120,10 @@ def task_type(joints: int, nodes: int) -> np.dtype[np.void]:
 
 @lru_cache
 def end_type(joints: int) -> np.dtype[np.void]:
-    """Return the type of a record of where a try ended; `rank` is negative if it has settled."""
+    """Return the type of a record of where a try ended; `rank` is negative if it is solved."""
     numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
-    return np.dtype([("angle", np.float64, (joints,)), *numbers, ("iterations", np.int64)])
+    whole = [("iterations", np.int64), ("is_solved", np.bool_)]
+    return np.dtype([("angle", np.float64, (joints,)), *numbers, *whole])
 
 
 @lru_cache
