@@ -50,7 +50,7 @@ class Arguments:
     """Compare solvers of inverse kinematics.
 
     Attributes:
-        robots: their names; nothing was tuned on ur10 and xarm7.
+        robots: their names; nothing was tuned on ur10, xarm7, z1 and baxter.
         tables: their names.
         problems: of the table `reach`; the others have a share of it.
         peer_problems: at most so many of them for solvers that are not ours.

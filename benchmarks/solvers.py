@@ -38,6 +38,20 @@ ROBOTS = {  # package, file, base, tip
     "iiwa": ("pybullet_data", "kuka_iiwa/model.urdf", "lbr_iiwa_link_0", "lbr_iiwa_link_7"),
     "ur10": (DATA, "ur_description/urdf/ur10_robot.urdf", "base_link", "wrist_3_link"),
     "xarm7": (DATA, "xarm_description/urdf/xarm7.urdf", "link_base", "link7"),
+    "talos": (
+        DATA,
+        "talos_data/robots/talos_left_arm.urdf",
+        "arm_left_1_link",
+        "gripper_left_base_link",
+    ),
+    "tiagopro": (
+        DATA,
+        "tiago_pro_description/robots/tiago_pro.urdf",
+        "torso_lift_link",
+        "arm_left_tool_link",
+    ),
+    "z1": (DATA, "z1_description/urdf/z1.urdf", "link00", "link06"),
+    "baxter": (DATA, "baxter_description/urdf/baxter.urdf", "base", "left_gripper"),
 }
 
 

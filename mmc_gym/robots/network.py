@@ -324,7 +324,9 @@ class HingeNetwork:
         The starts are postures drawn within the limits, those nearest to the task first; after 128
         come some near the limits.  The first to settle wins.  Where none does, the best is
         returned: places, the hand's too, as near as can be, and its rotation as near as they leave
-        it.  A start that comes within 8 cm and 0.4 rad ends with at most 16 damped steps of Newton's
+        it.
+
+        A start that comes within 8 cm and 0.4 rad ends with at most 16 damped steps of Newton's
         method; a single one (`starts` = 1) does if it was near, or for tolerances below 1 mm or
         0.01 rad.
 
