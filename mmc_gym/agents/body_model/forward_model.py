@@ -50,7 +50,7 @@ def squared(points: Points) -> Floats:
 
 def unit_vectors(joint_angles: Floats) -> Points:
     """Return the direction of each segment as a unit vector, (..., N)."""
-    return np.exp(1j * np.cumsum(joint_angles, axis=-1))
+    return np.exp(1j * np.add.accumulate(joint_angles, axis=-1))
 
 
 def hand(joint_angles: Floats, lengths: Floats) -> Points:
@@ -61,7 +61,7 @@ def hand(joint_angles: Floats, lengths: Floats) -> Points:
 def to_hand(joint_angles: Floats, lengths: Floats) -> Points:
     """Return the vectors from each joint to the hand, (..., N); the first is the hand itself."""
     segments = lengths * unit_vectors(joint_angles)
-    return np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]
+    return np.add.accumulate(segments[..., ::-1], axis=-1)[..., ::-1]
 
 
 def pull_hand(levers: Points, error: Points, damping: float, held: Bools | None) -> Floats:

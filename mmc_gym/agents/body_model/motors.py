@@ -29,7 +29,7 @@ from mmc_gym.agents.body_model.forward_model import Bools, bounded
 from mmc_gym.geometry import Floats
 
 GIVEN = np.array([0.19, 0.77, 0.0])  # a₀, g₀ and b of the given servo
-RIDGE = np.array([0.5, 0.01, 1.0])  # Λ, in full turns squared
+RIDGE = np.diag([0.5, 0.01, 1.0])  # Λ, in full turns squared
 KEEP = 0.95  # λ: share of the sums that is left after a control step
 CHANGE = 0.2  # V: change of a turn from which on torque may be at its limit, full turns
 RATE = 0.2  # rate of the running square errors
@@ -65,19 +65,21 @@ class Motors(NamedTuple):
         Joints turned `before`, and now by `turn`.  `strength` is by how much a given servo changes
         a turn at most, as far as is known.
         """
-        x = np.stack([before, commanded, np.ones_like(turn)], axis=-1)
+        x, both = np.ones((*turn.shape, 3)), np.empty_like(self.errors)
+        x[..., 0], x[..., 1] = before, commanded
         given, learned = (x * GIVEN).sum(axis=-1), (x * self.fit).sum(axis=-1)
         most: Floats = np.maximum(strength, LEAST_CHANGE)
         limited = before + bounded(given - before, most)
         weight = counts / (1 + ((learned - before) / CHANGE) ** 2)
-        error = np.minimum(np.abs(turn - given), np.abs(turn - limited))
-        both = np.stack([error, turn - learned], axis=-1) ** 2
+        error = turn - given
+        both[..., 0] = np.minimum(np.abs(error), np.abs(turn - limited))
+        both[..., 1] = turn - learned
         weight = weight[..., None]
-        errors = self.errors + RATE * weight * (np.minimum(both, LARGEST) - self.errors)
-        keep = np.where(counts, KEEP, 1.0)[..., None]
-        squares = keep[..., None] * self.squares + (weight * x)[..., None] * x[..., None, :]
-        products = keep * self.products + weight * x * (turn - given)[..., None]
-        fit = GIVEN + np.linalg.solve(squares + np.diag(RIDGE), products[..., None])[..., 0]
+        errors = self.errors + RATE * weight * (np.minimum(both * both, LARGEST) - self.errors)
+        keep, weighted = np.where(counts, KEEP, 1.0)[..., None], weight * x
+        squares = keep[..., None] * self.squares + weighted[..., None] * x[..., None, :]
+        products = keep * self.products + weighted * error[..., None]
+        fit = GIVEN + np.linalg.solve(squares + RIDGE, products[..., None])[..., 0]
         ratio = np.where(self.is_learned, STAYS, WORSE)
         is_better = errors[..., 0] > ratio * (errors[..., 1] + SMALL)
         is_learned = is_better & (np.abs(fit[..., 1]) > LEAST_STRENGTH)
