@@ -170,10 +170,11 @@ class Senses(NamedTuple):
         """Return the senses after one more observation, and what it shows of the last step."""
         joint_angles, speeds = seen.joint_angles, seen.joint_speeds
         place, hand = as_points(seen.target), as_points(seen.hand)
-        delay, is_again = self.delay, np.zeros_like(self.is_later)
+        delay, is_again = self.delay, np.zeros(len(hand), bool)
         history = self.seen, self.repeats, self.is_later
         if parts.bridges_delay:
             delay, is_again, history = self._relate(seen, interface)
+        repeats = is_again | (self.repeats > 0)
         related, turns = delay, self.commanded_turns(delay, interface, motors)
         if parts.filters:
             posture = self.posture.filter(joint_angles, speeds, turns[1], interface.control_step)
@@ -181,7 +182,7 @@ class Senses(NamedTuple):
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
-        if any_true(is_again | (self.repeats > 0)):
+        if any_true(repeats):
             posture = self._after_repeats(seen, posture, is_again, interface.control_step)
         if not all_true(posture.age > EARLY) or not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
@@ -196,7 +197,7 @@ class Senses(NamedTuple):
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
         is_hidden = self._hides(hand, joint_angles, posture)
-        is_regular = ~is_again & (self.repeats == 0)
+        is_regular = ~repeats
         step = LastStep(
             before=self.posture,
             after=posture,
@@ -244,13 +245,14 @@ class Senses(NamedTuple):
         """
         angles, delay = seen.joint_angles, self.delay
         row = np.concatenate([angles, seen.joint_speeds, seen.hand], axis=-1)
-        same = (self.seen == row[:, None]).all(axis=-1)
         moves = np.abs(seen.joint_speeds).max(axis=-1) > ONSET
-        is_again = same.any(axis=-1) & moves & delay.is_felt
-        repeats, is_later, late = self.repeats * is_again, self.is_later & is_again, delay.late
-        if any_true(is_again | (self.repeats > 0)):
-            is_later |= is_again & ~same[:, -1]
-            repeats = repeats + is_again
+        is_again = (self.seen[..., 0] == angles[:, :1]).any(axis=-1) & moves & delay.is_felt
+        repeats, is_later, late = self.repeats, self.is_later, delay.late
+        if any_true(is_again) or any_true(repeats):  # in others not even the first angle repeats
+            same = (self.seen == row[:, None]).all(axis=-1)
+            is_again &= same.any(axis=-1)
+            is_later = is_again & (is_later | ~same[:, -1])
+            repeats = (repeats + 1) * is_again
             ends = (self.repeats > 0) & ~is_again & ~self.is_later
             turned = wrap_angle(angles - self.posture.seen)
             step = interface.control_step / 2 * (seen.joint_speeds + self.posture.speeds)
