@@ -178,7 +178,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             counts &= ~senses.is_hidden
             before = senses.posture.joint_angles
             stuck = stuck.compare(state.evidence.best, before, commanded, counts)
-            seen = stuck.corrected(seen, commanded, self.interface.control_step)
+            if any_true(stuck.is_stuck):
+                seen = stuck.corrected(seen, commanded, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
@@ -239,8 +240,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.parts.avoids:
             counts = step.is_clear & ~locks.is_locked.any(axis=-1)
             lengths = self._body(state, state.evidence.best).lengths
-            begins = np.any(locks.has_changed & locks.is_locked, axis=-1)
-            if any_true(begins):  # the lock stopped the arm
+            if any_true(locks.has_changed):  # a new lock stopped the arm
+                begins = np.any(locks.has_changed & locks.is_locked, axis=-1)
                 contacts = where(begins, Contacts.start(*locks.is_locked.shape), contacts)
             contacts = contacts.locate(step, lengths, counts)
             if any_true(contacts.is_new):
@@ -319,21 +320,24 @@ class BodyAgent(FeedbackAgent[BodyState]):
         begins |= np.abs(problem.aim - state.route.aim) > FARTHER
         is_new = begins | state.locks.has_changed.any(axis=-1)
         goal = self.imagination.follow(state.route.goal, problem)
-        route = state.route.advance(self.interface, problem.joint_angles)._replace(goal=goal)
+        route = state.route.advance(self.interface, problem.joint_angles)
         if any_true(is_new):
-            route = route._replace(goal=goal.copy())
-            route.goal[is_new] = self.imagination.improve(goal[is_new], problem.of(is_new))
+            goal = goal.copy()
+            goal[is_new] = self.imagination.improve(goal[is_new], problem.of(is_new))
+            route = route._replace(goal=goal)
             route = self.road_map.plan(route, state.contacts, problem, is_new)
+            goal = route.goal
         is_next_leg = route.ahead < state.route.ahead
         is_new = is_new | is_next_leg
         aim = np.where(is_new, problem.aim, route.aim)
-        goal_turn = np.zeros_like(goal)
+        goal_turn = np.zeros(goal.shape)
         is_moving = state.senses.target.is_moving | state.evidence.change.is_on
         if any_true(is_moving):
             follows = is_moving & ~is_new & (route.ahead == 0)
-            turn = self.interface.turn(state.route.goal, route.goal)
+            turn = self.interface.turn(state.route.goal, goal)
             goal_turn = np.where(follows[:, None], turn, goal_turn)
-        return route._replace(aim=aim, goal_turn=goal_turn, begins=begins | is_next_leg)
+        begins |= is_next_leg
+        return route._replace(goal=goal, aim=aim, goal_turn=goal_turn, begins=begins)
 
     def _drive(
         self, state: BodyState, problem: ReachProblem, before: Floats
@@ -341,10 +345,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Return joint targets, and the state after they were sent; joints turned `before`."""
         interface, now = self.interface, problem.joint_angles
         left = interface.turn(now, state.route.next)
-        joint_targets: Floats = now + left
-        drive, memory = state.drive, state.memory
         if self.parts.drives and not interface.has_drive:
             joint_targets, drive, memory = self._invert_servos(state, problem, left, before)
+        else:
+            joint_targets, drive, memory = now + left, state.drive, state.memory
         if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
             push = 0.0 if interface.has_drive else PUSH

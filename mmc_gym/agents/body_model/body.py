@@ -164,9 +164,10 @@ class Change(NamedTuple):
         mean[is_given | (evidence.age == 0)] = 0.0
         usual = evidence.scatter + (EXACT + 3 * blur)
         fails = (mean > 3 * usual) | (3 * squared(evidence.offset) > usual) | self.is_on
-        failing = np.flatnonzero(fails & ~is_given)
-        if not len(failing):
-            return Change(looks, mean, mean, zero > 0)
+        fails &= ~is_given
+        if not any_true(fails):
+            return Change(looks, mean, mean, fails)
+        failing = np.flatnonzero(fails)
         error_of_trend, is_on = mean.copy(), zero > 0
         states = self, evidence.best, evidence.given_body
         before, best, given_body = (_of(state, failing) for state in states)
@@ -227,7 +228,8 @@ class BodyEvidence(NamedTuple):
         """
         units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given_body.lengths * units).sum(axis=-1)
-        z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
+        z = np.ones(self.sums[:, 0].shape, complex)
+        z[:, :-2], z[:, -2] = units, error
         w = np.concatenate([hand[:, None], z.conj()], axis=1)
         keep: Any = 1 - FORGET
         rate = np.maximum(OFFSET_RATE, 1 / age)
@@ -264,9 +266,9 @@ class BodyEvidence(NamedTuple):
 
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""
-        changing = np.flatnonzero(self.change.is_on)
-        if not len(changing):
+        if not any_true(self.change.is_on):
             return self.best
+        changing = np.flatnonzero(self.change.is_on)
         states = self.change, self.best, self.given_body
         change, best, given_body = (_of(state, changing) for state in states)
         turn, shift = self.best.turn.copy(), self.best.shift.copy()
@@ -409,11 +411,13 @@ class Locks(NamedTuple):
         away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
         moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
         moves |= np.abs(step.after.speeds) > REST_SPEED + REST_SPEED_PER_NOISE * noise
-        is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
-        is_arm_felt = step.is_felt[:, None] | (step.after.age > FELT_BY)
-        rests = ~moves & ~is_freed & is_arm_felt
-        # Kept while a joint is locked: its sign is the direction in which it is pushed, if fast.
-        after = np.where(self.is_locked & ~is_freed, self.commanded, 0.0) if vigour == 1 else 0.0
+        is_freed = self.is_locked
+        after: Floats | float = 0.0
+        if any_true(self.is_locked):
+            is_freed = self.is_locked & (away > 2 * rest_turn + FREED_AT)
+            if vigour == 1:  # its sign is the direction in which a locked joint is pushed, if fast
+                after = np.where(self.is_locked & ~is_freed, self.commanded, 0.0)
+        rests = (step.is_felt[:, None] | (step.after.age > FELT_BY)) & ~(moves | is_freed)
         commanded = np.where(rests, self.commanded + step.commanded, after)
         least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
         least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour

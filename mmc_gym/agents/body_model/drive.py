@@ -76,10 +76,10 @@ class Drive(NamedTuple):
             lacked = np.where(motors.is_learned, speed - before.speeds, lacked)
             lacks = np.where(motors.is_learned, speed - speeds, lacks)
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
-        saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
         saturates &= step.is_clear[:, None]
         if not any_true(saturates) and not any_true(recovers):
             return self
+        saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
         change = np.clip(shown, WEAKEST, STRONGEST) - old

@@ -93,8 +93,9 @@ class Contacts(NamedTuple):
         """Return the memory after a control step of arms that count (`counts`, (n,))."""
         turn = step.after.turn
         lack = np.abs(step.commanded - turn).max(axis=-1)
-        lacks = (lack > LACKED_TURN) & counts
-        is_still = (lack > LACKED_AT_REST) & (np.abs(turn).max(axis=-1) < HELD_TURN) & counts
+        lacks, is_still = (lack > LACKED_TURN) & counts, (lack > LACKED_AT_REST) & counts
+        if any_true(is_still):
+            is_still &= np.abs(turn).max(axis=-1) < HELD_TURN
         if not any_true(lacks | is_still):
             return self._released() if any_true(self.intended) or any_true(self.is_new) else self
         units = unit_vectors(step.after.joint_angles)
@@ -189,6 +190,8 @@ class Route(NamedTuple):
     @property
     def next(self) -> Floats:
         """The posture to go to now, radians, (n, N)."""
+        if not any_true(self.ahead):
+            return self.goal
         via = self.vias[np.arange(len(self.ahead)), self.ahead - 1]
         return np.where((self.ahead > 0)[:, None], via, self.goal)
 
