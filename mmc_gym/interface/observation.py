@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmc_gym._errors import require, require_floats
+from mmc_gym._errors import all_true, require, require_floats
 from mmc_gym.geometry import Floats
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
@@ -193,8 +193,10 @@ class ObservationLayout:
         lack a number: it is 0 where the bounded one is not.
         """
         offset: NDArray[np.float64] = parts.offset
-        is_clipped = (np.abs(offset) == self.limits[-3]) | ((offset == 0) & (parts.bounded != 0))
-        if not is_clipped.any():
+        is_clipped = np.abs(offset) == self.limits[-3]
+        if not all_true(offset):
+            is_clipped |= (offset == 0) & (parts.bounded != 0)
+        if not np.count_nonzero(is_clipped):
             return offset
         share = np.linalg.norm(parts.bounded, axis=-1, keepdims=True)
         size = OFFSET_SCALE / np.maximum(1 - share, 1e-4)
@@ -206,6 +208,8 @@ class ObservationLayout:
         Sensors that fail show 0.  An angle lacks a number if its cosine or sine is 0, and they are
         not those of one angle; a speed or target with a 0 may.
         """
+        if all(map(all_true, (parts.cosines, parts.sines, parts.speeds, parts.target))):
+            return None
         is_zero = (parts.cosines == 0) | (parts.sines == 0), parts.speeds == 0, parts.target == 0
         lost = np.concatenate([*is_zero[:2], is_zero[2].any(axis=-1, keepdims=True)], axis=-1)
         if not np.count_nonzero(lost):
