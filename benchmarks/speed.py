@@ -224,16 +224,36 @@ def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float6
 
 
 def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
-    """Return seconds per action of each of `AGENTS`, (rounds,), for one arm."""
+    """Return seconds per action of each of `AGENTS`, (rounds,), for one arm.
+
+    They are means over all looks of an episode, each with the state that the agent has then: the
+    first looks, at an arm at rest, are no measure of the others.
+    """
     env = gym.make(OURS)
-    observation, _ = env.reset(seed=0)
     agents = {name: make_agent(name, env) for name in AGENTS}
-    calls = {}
-    for name, agent in agents.items():
-        _, state = agent.predict(observation)
-        calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
+    looks = {name: looks_of(agent, env) for name, agent in agents.items()}
+    calls = {name: partial(act_again, agent, looks[name]) for name, agent in agents.items()}
     torch.set_num_threads(1)  # small networks act faster on one thread
-    return interleaved(calls, arguments.rounds, arguments.seconds / 3)
+    times = interleaved(calls, arguments.rounds, arguments.seconds / 3)
+    return {name: seconds / len(looks[name]) for name, seconds in times.items()}
+
+
+def looks_of(agent: Any, env: gym.Env[Any, Any]) -> list[tuple[Any, Any]]:
+    """Return what an agent acts on in an episode: observations, each with the agent's state."""
+    observation, _ = env.reset(seed=0)
+    state, looks, is_over = None, [], False
+    while not is_over:
+        looks.append((observation, state))
+        action, state = agent.predict(observation, state, deterministic=True)
+        observation, _, terminated, truncated, _ = env.step(action)
+        is_over = terminated or truncated
+    return looks
+
+
+def act_again(agent: Any, looks: Iterable[tuple[Any, Any]]) -> None:
+    """Let an agent choose all actions of an episode once more."""
+    for observation, state in looks:
+        agent.predict(observation, state, deterministic=True)
 
 
 def rows_of(
