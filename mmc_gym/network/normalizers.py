@@ -35,6 +35,9 @@ WEIGHTS = Path(__file__).parent / "weights"
 # the rows, too, if it shares them out among threads: OpenBLAS does beyond so many multiplications.
 _BLOCK, _MOST_UNSHARED = 8, 2**18
 
+# Vectors normalized at once: what the layers make of them stays in the second-level cache.
+_AT_ONCE = 1024
+
 
 def whole_blocks(columns: int) -> int:
     """Return the columns with which `product` gives each the same bits in any batch."""
@@ -153,7 +156,10 @@ class LearnedNormalizer(Normalizer):
         shape, size = (2, count, batch), count * batch
         inputs = np.zeros((2, whole_blocks(size)), dtype=rows.dtype)
         np.divide(rows.transpose(1, 0, 2), lengths, out=inputs[:, :size].reshape(shape))
-        output = self._forward(inputs)[-1][:, :size].reshape(shape)
+        for start in range(0, inputs.shape[1], _AT_ONCE):
+            part = inputs[:, start : start + _AT_ONCE]
+            part[:] = self._forward(part)[-1]
+        output = inputs[:, :size].reshape(shape)
         np.multiply(output.transpose(1, 0, 2), lengths[:, None], out=rows)
 
     def _forward(self, inputs: Floats) -> list[Floats]:
