@@ -143,8 +143,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             state = self._begin_movements(state, seen)
         lost = seen.lost if self.parts.filters else None
         if lost is not None:
-            offset = state.stuck.offset
-            seen = state.senses.complete(seen, lost, offset, self.interface, state.motors)
+            step = self.interface.control_step
+            seen = state.senses.complete(seen, lost, state.stuck.offset, step)
         if self.finds_motors:
             state, seen = self._correct(state, seen)
         state = self._observe(state, seen)
@@ -173,13 +173,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
         stuck = state.stuck.feel(seen)
         if any_true(stuck.still) or any_true(state.stuck.still):
             senses, delay = state.senses, state.senses.delay
-            commanded = senses.commanded_turns(delay, self.interface, state.motors)[1]
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
             before = senses.posture.joint_angles
-            stuck = stuck.compare(state.evidence.best, before, commanded, counts)
+            stuck = stuck.compare(state.evidence.best, before, senses.commanded, counts)
             if any_true(stuck.is_stuck):
-                seen = stuck.corrected(seen, commanded, self.interface.control_step)
+                seen = stuck.corrected(seen, senses.commanded, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
@@ -355,8 +354,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
-        delay = state.senses.delay.record(command, state.senses.posture, interface)
-        senses = state.senses._replace(delay=delay)
+        senses = state.senses.record(command, interface, state.motors)
         return joint_targets, state._replace(senses=senses, drive=drive, memory=memory)
 
     def _invert_servos(

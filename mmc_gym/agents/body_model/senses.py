@@ -105,6 +105,8 @@ class Senses(NamedTuple):
     seen: Floats  # joint angles, speeds and hand as seen, likewise
     repeats: Floats  # observations in turn that were seen before, (n,)
     is_later: Bools  # whether any of these was seen before the last one, (n,)
+    as_given: Floats  # how far the last command seen should turn joints as given, (n, N)
+    commanded: Floats  # and how far by their motors
 
     @classmethod
     def start(cls, interface: ReachInterface, sensed: Sensed) -> Senses:
@@ -121,6 +123,8 @@ class Senses(NamedTuple):
             np.full((*postures.shape[:2], 2 * joint_angles.shape[1] + 2), np.inf),
             np.zeros(len(joint_angles)),
             np.zeros(len(joint_angles), bool),
+            as_given=np.zeros_like(joint_angles),
+            commanded=np.zeros_like(joint_angles),
         )
 
     def look(self, seen: Seen) -> Senses:
@@ -129,20 +133,17 @@ class Senses(NamedTuple):
         is_hidden = self._hides(hand, seen.joint_angles, self.posture)
         return self._replace(hand=hand, is_hidden=is_hidden)
 
-    def complete(
-        self, seen: Seen, lost: Bools, offset: Floats, interface: ReachInterface, motors: Motors
-    ) -> Seen:
+    def complete(self, seen: Seen, lost: Bools, offset: Floats, step: float) -> Seen:
         """Return what is seen, with what is expected in the place of numbers that are lost.
 
         `lost` are those that may be, see `Seen`.  A speed of 0 is lost if its joint turned.  Hand
-        and target are seen from the first segment.  `offset` is that of stuck sensors, (n, N).
+        and target are seen from the first segment.  `offset` is that of stuck sensors, (n, N), and
+        `step` the control step.
         """
-        posture, step = self.posture, interface.control_step
-        angles, speeds = seen.joint_angles, seen.joint_speeds
+        posture, angles, speeds = self.posture, seen.joint_angles, seen.joint_speeds
         joints = angles.shape[-1]
-        by_command = self.commanded_turns(self.delay, interface, motors)[1]
         is_steady = (speeds != 0) & (posture.speeds != 0)
-        turn = np.where(is_steady, step / 2 * (speeds + posture.speeds), by_command)
+        turn = np.where(is_steady, step / 2 * (speeds + posture.speeds), self.commanded)
         before = posture.seen - offset  # as sensors showed it
         angles = np.where(lost[:, :joints], wrap_angle(before + turn), angles)
         turned = wrap_angle(angles - before)
@@ -175,7 +176,9 @@ class Senses(NamedTuple):
         if parts.bridges_delay:
             delay, is_again, history = self._relate(seen, interface)
         repeats = is_again | (self.repeats > 0)
-        related, turns = delay, self.commanded_turns(delay, interface, motors)
+        related, turns = delay, (self.as_given, self.commanded)
+        if delay is not self.delay:
+            turns = self._commanded_turns(delay, interface, motors)
         if parts.filters:
             posture = self.posture.filter(joint_angles, speeds, turns[1], interface.control_step)
             target = self.target.filter(place, interface.control_step)
@@ -191,7 +194,7 @@ class Senses(NamedTuple):
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         if delay is not related:
-            turns = self.commanded_turns(delay, interface, motors)
+            turns = self._commanded_turns(delay, interface, motors)
         postures = self.postures
         if delay.may_lag:
             likely = posture.likely[:, None]
@@ -206,9 +209,15 @@ class Senses(NamedTuple):
             is_felt=delay.is_felt & is_regular,
             is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR) & is_regular,
         )
-        return Senses(posture, target, delay, hand, is_hidden, postures, *history), step
+        return Senses(posture, target, delay, hand, is_hidden, postures, *history, *turns), step
 
-    def commanded_turns(
+    def record(self, command: Floats, interface: ReachInterface, motors: Motors) -> Senses:
+        """Return the senses after commands were sent."""
+        delay = self.delay.record(command, self.posture, interface)
+        as_given, commanded = self._commanded_turns(delay, interface, motors)
+        return self._replace(delay=delay, as_given=as_given, commanded=commanded)
+
+    def _commanded_turns(
         self, delay: Delay, interface: ReachInterface, motors: Motors
     ) -> tuple[Floats, Floats]:
         """Return how far the command should have turned joints as given, and by their motors."""
