@@ -40,7 +40,7 @@ class Encoders(gym.ObservationWrapper):
 class PandaReach(ReachInterface):
     """What agents are given about the robot, and how they see and move it."""
 
-    def __init__(self):
+    def __init__(self, success_distance=0.05):
         arm = HingeArm.named("panda")
         home = arm.home.copy()
         home[2, 3] -= 0.105  # from the flange to between the fingers
@@ -52,7 +52,7 @@ class PandaReach(ReachInterface):
             servo_gain=1 / STEP,
             control_step=STEP,
             joint_limits=arm.limits,
-            success_distance=0.05,
+            success_distance=success_distance,
             arm=arm,
         )
 

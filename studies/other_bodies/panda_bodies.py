@@ -60,17 +60,21 @@ class ChangedPanda(Panda):
 
 
 def make_env(
-    longer: Mapping[str, float] | None = None, locked: tuple[int, ...] = (), **arguments: Any
+    longer: Mapping[str, float] | None = None,
+    locked: tuple[int, ...] = (),
+    within: float = 0.05,
+    **arguments: Any,
 ) -> gym.Env[Any, Any]:
     """Return `PandaReachJoints-v3` with links longer by factors, and locked joints.
 
     Args:
         longer: see `changed_urdf`.
         locked: indices of joints that stay where they start.
+        within: distance to the target within which an episode succeeds, metres.
         arguments: of panda-gym's simulation, such as `renderer`.
     """
     sim = PyBullet(**arguments)
     with TemporaryDirectory() as folder:
         robot = ChangedPanda(sim, changed_urdf(longer or {}, Path(folder)), locked)
-    task = Reach(sim, get_ee_position=robot.get_ee_position)
+    task = Reach(sim, robot.get_ee_position, distance_threshold=within)
     return TimeLimit(RobotTaskEnv(robot, task), 50)

@@ -1,10 +1,12 @@
 """Play `Reacher-v5` with the given body and with changed ones: agents, plain IK, SAC.
 
 All agents are given the arm of the package.  In most rows the true arm differs: a link is longer,
-or friction holds a joint where it starts.  The return is the environment's: minus the distance in
-metres and the squared torques, summed over 50 steps.  An episode succeeds if at its end the hand is
-within 1 cm of the target; or of the nearest point that the true arm can reach, because with a joint
-held an arm of two joints reaches only a circle.
+or friction holds a joint where it starts; or a motor or a sensor fails (`--faults`): a motor gets
+40 % of its torque, a motor is pushed by 0.2 of the largest torque, a joint is felt where it was at
+first.  The return is the environment's: minus the distance in metres and the squared torques,
+summed over 50 steps.  An episode succeeds if at its end the hand is within 1 cm of the target; or
+of the nearest point that the true arm can reach, because with a joint held an arm of two joints
+reaches only a circle.
 
     python -m studies.other_bodies.reacher
     python -m studies.other_bodies.reacher --seed 1
@@ -20,7 +22,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,7 @@ from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.geometry import nearest_reachable, wrap_angle
 from mmc_gym.measures import episode_seeds
 from studies.other_bodies.actors import FOLDER, Actor
+from studies.other_bodies.faults import NO_FAULT, Fault, Faulty
 from studies.tables import table_of
 
 Floats = NDArray[np.float64]
@@ -47,40 +50,44 @@ LENGTHS = (0.1, 0.11)  # metres
 ELBOW = 3.0  # the elbow's limit, radians
 NEAR = 0.01  # metres
 STEPS, STEP = 50, 0.02
-LONGER = {  # text of the model's file, and its replacement
-    0: ((r'name="body1" pos="0.1 0 0"', 'name="body1" pos="{} 0 0"'), 0.12),
-    1: ((r'name="fingertip" pos="0.11 0 0"', 'name="fingertip" pos="{} 0 0"'), 0.132),
-}
+LONGER = (0.12, 0.132)  # lengths of links that are a fifth longer
+LINKS = ('name="body1" pos="{} 0 0"', 'name="fingertip" pos="{} 0 0"')  # in the model's file
 
 
 @dataclass(frozen=True)
 class TrueBody:
-    """What is changed: the link that is a fifth longer, and the joint that is held."""
+    """What is changed: the link that is a fifth longer, the joint that is held, and more."""
 
     longer: int | None = None
     held: int | None = None
+    tool: float = 0.0  # what the second link is longer by, metres
+    fault: Fault = NO_FAULT
 
     @property
     def lengths(self) -> Floats:
         """Lengths of the links, metres."""
-        return np.array([LONGER[j][1] if j == self.longer else LENGTHS[j] for j in (0, 1)])
+        links = np.array([LONGER[j] if j == self.longer else LENGTHS[j] for j in (0, 1)])
+        return links + np.array([0.0, self.tool])
 
     def make(self, folder: Path) -> gym.Env[Any, Any]:
         """Make the environment; the model's file is written into `folder`."""
         env = gym.make("Reacher-v5", disable_env_checker=True)
-        if self == TrueBody():
-            return env
+        if replace(self, fault=NO_FAULT) == TrueBody():
+            return self._failing(env)
         model = Path(env.unwrapped.fullpath).read_text()  # type: ignore[attr-defined]
-        if self.longer is not None:
-            (old, new), length = LONGER[self.longer]
-            assert old in model
-            model = model.replace(old, new.format(length))
+        for link, given, length in zip(LINKS, LENGTHS, self.lengths, strict=True):
+            assert link.format(given) in model
+            model = model.replace(link.format(given), link.format(length))
         if self.held is not None:
             model, count = re.subn(rf'(name="joint{self.held}")', r'\1 frictionloss="1000"', model)
             assert count == 1
-        file = folder.resolve() / f"reacher-{self.longer}-{self.held}.xml"
+        file = folder.resolve() / f"reacher-{self.longer}-{self.held}-{self.tool}.xml"
         file.write_text(model)
-        return gym.make("Reacher-v5", xml_file=str(file), disable_env_checker=True)
+        return self._failing(gym.make("Reacher-v5", xml_file=str(file), disable_env_checker=True))
+
+    def _failing(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        joint = self.fault.stuck or 0
+        return Faulty(env, self.fault, angles=[joint, 2 + joint], speeds=6 + joint)
 
     def nearest(self, starts: Floats, targets: Floats) -> Floats:
         """Return the least distance to targets (n, 2) that hands can reach from `starts`, (n,)."""
@@ -105,6 +112,12 @@ BODIES = {
     "first joint held": TrueBody(held=0),
     "second joint held": TrueBody(held=1),
 }
+FAULTS = {
+    **{f"motor {joint} at 40 %": TrueBody(fault=Fault(weak=joint - 1)) for joint in (1, 2)},
+    **{f"motor {joint} pushed": TrueBody(fault=Fault(pushed=joint - 1)) for joint in (1, 2)},
+    **{f"sensor {joint} stuck": TrueBody(fault=Fault(stuck=joint - 1)) for joint in (1, 2)},
+    "a tool of 5 cm": TrueBody(tool=0.05),
+}
 AGENTS = ("mmc-body", "ik-body", "ik", "ik, pd", "sac 100k", "sac 500k", "optimum")
 
 
@@ -115,6 +128,7 @@ class Arguments:
     # who plays; without any, the results in the folder are printed
     agents: tuple[str, ...] = AGENTS
     bodies: tuple[str, ...] = tuple(BODIES)  # the bodies
+    faults: bool = False  # play motors and sensors that fail, and a tool, instead of `bodies`
     episodes: int = 1000  # episodes of each agent with each body, those of `mmc-gym compare`
     seed: int = 0  # of the starts and targets
     late: int = 0  # control steps of 20 ms by which all senses are late
@@ -267,19 +281,21 @@ def main(arguments: Arguments) -> None:
     """Play what is missing, and print the table."""
     seeds = episode_seeds(arguments.seed, arguments.episodes)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    cells: dict[str, dict[str, str]] = {body: {"body": body} for body in BODIES}
-    for body, true in BODIES.items():
+    asked_bodies = FAULTS if arguments.faults else arguments.bodies
+    cells: dict[str, dict[str, str]] = {body: {"body": body} for body in asked_bodies}
+    for body, true in {**BODIES, **FAULTS}.items():
         envs: list[Any] = []
         for name in AGENTS:
             late = f"-late-{arguments.late}" if arguments.late else ""
             file = arguments.out / f"{name}-{body}-{arguments.seed}{late}.csv".replace(" ", "-")
-            asked = name in arguments.agents and body in arguments.bodies
+            asked = name in arguments.agents and body in asked_bodies
             if asked and not file.exists() and (name != "optimum" or true == TrueBody()):
                 envs = envs or [Late(true.make(arguments.out), arguments.late) for _ in seeds]
                 episodes = play(make(name, envs[0], arguments.sac), envs, seeds)
                 episodes.to_csv(file, index=False, lineterminator="\n")
             if file.exists():
-                cells[body][name] = cell(pd.read_csv(file), true)
+                row = cells.setdefault(body, {"body": body})
+                row[name] = cell(pd.read_csv(file), true)
         for env in envs:
             env.close()
     players = [name for name in AGENTS if any(name in row for row in cells.values())]
