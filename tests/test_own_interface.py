@@ -19,7 +19,7 @@ from mmc_gym.geometry import segments_from_joint_angles
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 from mmc_gym.report import write_report
 from mmc_gym.robots import HingeArm
-from studies.other_bodies.reacher import BODIES, play
+from studies.other_bodies.reacher import BODIES, FAULTS, play
 
 LENGTHS = (1.0, 1.1)
 PANDA = HingeArm.named("panda")
@@ -194,10 +194,11 @@ def test_the_command_line_takes_an_interface_and_without_one_the_environment_is_
 
 def success_and_return(name, body, folder):
     """Success, and mean return, of an agent in the same episodes."""
-    envs = [BODIES[body].make(folder) for _ in range(12)]
+    true_body = {**BODIES, **FAULTS}[body]
+    envs = [true_body.make(folder) for _ in range(12)]
     episodes = play(make_agent(name, envs[0], interface=reacher.INTERFACE), envs, list(range(12)))
     starts, targets = episodes.to_numpy()[:, 2:4], episodes.to_numpy()[:, 4:]
-    missed = episodes["distance"] - BODIES[body].nearest(starts, targets)
+    missed = episodes["distance"] - true_body.nearest(starts, targets)
     return (missed < 0.01).mean(), episodes["return"].mean()
 
 
@@ -207,7 +208,15 @@ def test_mmc_body_earns_what_the_environment_asks_for_without_training(tmp_path)
     assert mean_return > gym.spec("Reacher-v5").reward_threshold
 
 
-@pytest.mark.parametrize("body", ["second link 20 % longer", "first joint held"])
+@pytest.mark.parametrize(
+    "body",
+    [
+        "second link 20 % longer",
+        "first joint held",
+        "motor 2 pushed",
+        "a tool of 5 cm",
+    ],
+)
 def test_a_changed_body_is_identified(body, tmp_path):
     success, mean_return = success_and_return("mmc-body", body, tmp_path)
     assert success > 0.9

@@ -13,7 +13,7 @@ from mmc_gym.agents.body_model import obstacles
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
-from mmc_gym.agents.body_model.forward_model import command_of, commanded_turn
+from mmc_gym.agents.body_model.forward_model import Response, command_of, commanded_turn
 from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
@@ -256,6 +256,20 @@ def test_a_sensor_is_stuck_whose_joint_moves_the_hand_and_its_angle_follows():
 def test_hardly_any_sensor_is_taken_as_stuck_where_none_is(perturbation):
     states = [state for _, state in moments(mmc_body, perturbation, 40, 60, 5, engine="analytic")]
     assert np.mean([state.stuck.is_stuck for state in states]) < 0.01
+
+
+@pytest.mark.parametrize("push", [0.0, 0.8])
+def test_a_push_is_seen_in_the_speeds_of_joints_and_actions_undo_it(push):
+    response, counts = Response.start(1, 2, 0), np.ones((1, 2), bool)
+    speeds = np.zeros((1, 2))
+    for number in range(6):
+        _, response = response.send(np.cos([[number, 2.0 * number]]), undoes=False)
+        before, speeds = speeds, 0.9 * speeds + 4 * response.actions[:, -1] + (push, 0.0)
+        response = response.observe(before, speeds, np.zeros(1), counts)
+    np.testing.assert_allclose(response.fit[:, 0, 0], (0.9, 4.0, push), atol=0.005)
+    action, _ = response.send(np.array([[0.1, 0.3]]), undoes=True)
+    np.testing.assert_allclose(action, [[0.1 - push / 4, 0.3]], atol=0.002)
+    np.testing.assert_array_equal(response.send(-np.ones((1, 2)), undoes=True)[0], -1.0)
 
 
 @pytest.mark.parametrize("control", ["joint_delta", "joint_velocity"])

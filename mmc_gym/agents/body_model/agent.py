@@ -31,6 +31,7 @@ from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.forward_model import (
+    Bools,
     Response,
     as_points,
     command_of,
@@ -57,6 +58,7 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 
 LAG = 1.5  # control steps until the joints are where a command takes them
+AT_LIMIT = 0.05  # a joint nearer to its limit may be stopped by it, radians
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 BETWEEN = -1  # looks of a state between two movements
 LONGEST_WAIT = 10.0  # observations that an arm waits at most for a first posture that is whole
@@ -97,9 +99,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
         self.parts, self.subjects = parts, subjects
         self.has_own_act = type(interface).act is not ReachInterface.act
         # A movement that begins slowly shows how late it is too late to learn motors from it.
-        is_fast, has_servos = parts.vigour == 1, not (self.has_own_act or interface.has_drive)
-        drives = parts.drives and has_servos and is_fast and not parts.learns
-        self.finds_motors = parts.finds_motors and drives
+        self.finds_faults = (
+            parts.finds_motors and parts.drives and parts.vigour == 1 and not parts.learns
+        )
+        self.has_servos = not (self.has_own_act or interface.has_drive)
+        self.finds_motors = self.finds_faults and self.has_servos
         # Squared distances from each joint to the hand of a stretched arm.
         self._levers = np.cumsum(interface.segment_lengths[::-1])[::-1] ** 2
         self.imagination = Imagination(interface, model, parts.imagines)
@@ -157,7 +161,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.learns:
             action = state.memory.disturbed(action, state.looks)
         if self.has_own_act:
-            state = state._replace(response=state.response.record(action))
+            action, response = state.response.send(action, self.finds_faults)
+            state = state._replace(response=response)
         if lost is not None:  # an episode begins with the first posture that lacks no number
             lacks = (state.looks == 1) & lost[:, : now.joint_angles.shape[-1]].any(axis=-1)
             lacks &= state.waits < LONGEST_WAIT
@@ -228,7 +233,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.has_own_act:
             delay = senses.delay
             before = state.senses.posture.speeds
-            response = response.observe(before, seen.joint_speeds, delay.late, delay.is_felt)
+            counts = delay.is_felt[:, None] & self._turn_freely(seen.joint_angles)
+            response = response.observe(before, seen.joint_speeds, delay.late, counts)
         if self.parts.finds_locks:
             locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
             if any_true(locks.is_locked):  # nothing is learned of motors whose joints are locked
@@ -256,6 +262,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
             drive=drive,
             response=response,
         )
+
+    def _turn_freely(self, joint_angles: Floats) -> Bools:
+        """Return which joints are not at their limits, which stop them, (n, N)."""
+        low, high = np.transpose(self.interface.joint_limits or ((-np.inf, np.inf),))
+        is_free: Bools = (joint_angles > low + AT_LIMIT) & (joint_angles < high - AT_LIMIT)
+        return is_free
 
     def _identify_motors(
         self, motors: Motors, drive: Drive, step: LastStep

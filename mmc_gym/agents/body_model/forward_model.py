@@ -9,16 +9,16 @@ stated.
 fitted by least squares how the speed s′ of one control step follows from the speed s and the
 action u of the step before,
 
-    s′ = a s + b u.
+    s′ = a s + b u + c.
 
-Until a movement is seen, a = 1 and b = 0.  With the actions that were sent since, angles and speeds
-that are seen late give those of now.
+Until a movement is seen, a = 1 and b = c = 0.  With the actions that were sent since, angles and
+speeds that are seen late give those of now.  An action that is smaller by c / b undoes the push c.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,9 @@ from mmc_gym.interface import ReachInterface
 Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]
 
-RESPONSE_RIDGE = 1e-6  # weight of a = 1 and b = 0
-STEADY = np.array([1.0, 0.0])
+RESPONSE_RIDGE = np.diag([1e-6, 1e-6, 1e-3])  # weights of a = 1, b = 0 and c = 0
+LEAST_EFFECT = 0.01  # square of b that is as good as none, (rad/s)²
+STEADY = np.array([1.0, 0.0, 0.0])
 
 
 def as_points(vectors: Floats) -> Points:
@@ -126,39 +127,54 @@ class Response(NamedTuple):
     """What was seen of the response of n arms with N joints."""
 
     actions: Floats  # those sent, the latest last, (n, longest delay + 1, N)
-    squares: Floats  # Σ x xᵀ of x = (s, u), (n, N, 2, 2)
-    products: Floats  # Σ x (s′ − s), (n, N, 2)
+    squares: Floats  # Σ x xᵀ of x = (s, u, 1), (n, N, 3, 3)
+    products: Floats  # Σ x (s′ − s), (n, N, 3)
 
     @classmethod
     def start(cls, arms: int, joints: int, longest: int) -> Response:
         """Return the response before any action."""
-        actions, sums = np.zeros((arms, longest + 1, joints)), np.zeros((arms, joints, 2))
-        return cls(actions, np.zeros((arms, joints, 2, 2)), sums)
+        actions, sums = np.zeros((arms, longest + 1, joints)), np.zeros((arms, joints, 3))
+        return cls(actions, np.zeros((*sums.shape, 3)), sums)
 
     def observe(self, before: Floats, speeds: Floats, late: Floats, counts: Bools) -> Response:
-        """Return the response after speeds were seen, `late` control steps (n,); some count."""
+        """Return it after speeds were seen, `late` control steps (n,); joints (n, N) count."""
         steps, arms = late.astype(np.intp), np.arange(len(late))
-        x = np.stack([before, self.actions[arms, -1 - steps]], axis=-1) * counts[:, None, None]
+        x = np.stack([before, self.actions[arms, -1 - steps], np.ones_like(before)], axis=-1)
+        x *= counts[..., None]
         squares = self.squares + x[..., :, None] * x[..., None, :]
         products = self.products + x * (speeds - before)[..., None]
         return self._replace(squares=squares, products=products)
 
-    def record(self, action: Floats) -> Response:
-        """Return the response after actions were sent, if there is one for each joint."""
+    @property
+    def fit(self) -> Floats:
+        """a, b and c of each joint, three arrays (n, N)."""
+        change = np.linalg.solve(self.squares + RESPONSE_RIDGE, self.products[..., None])
+        return np.moveaxis(STEADY + change[..., 0], -1, 0)
+
+    def send(self, action: NDArray[Any], undoes: bool) -> tuple[NDArray[Any], Response]:
+        """Return actions, and the response after they are sent, if there is one for each joint.
+
+        If it `undoes` pushes, they are other than these actions, but within ±1 if these are.
+        """
         if np.shape(action) != self.actions[:, 0].shape:
-            return self
-        return self._replace(actions=np.concatenate([self.actions[:, 1:], action[:, None]], axis=1))
+            return action, self
+        if undoes:
+            _, gain, push = self.fit
+            undone = action - gain * push / (gain * gain + LEAST_EFFECT)
+            largest = np.maximum(1.0, np.abs(action).max(axis=-1, keepdims=True))
+            action = bounded(undone, largest).astype(action.dtype)
+        actions = np.concatenate([self.actions[:, 1:], action[:, None]], axis=1)
+        return action, self._replace(actions=actions)
 
     def run_forward(
         self, joint_angles: Floats, speeds: Floats, late: Floats, control_step: float
     ) -> tuple[Floats, Floats]:
         """Return angles and speeds of now, from those of `late` control steps (n,) ago."""
-        squares = self.squares + RESPONSE_RIDGE * np.eye(2)
-        fit = np.linalg.solve(squares, self.products[..., None])[..., 0]
-        keep, push = np.moveaxis(STEADY + fit, -1, 0)
+        keep, gain, push = self.fit
         for back in range(int(late.max()), 0, -1):
             is_due = (back <= late)[:, None]
-            after = np.where(is_due, keep * speeds + push * self.actions[:, -back], speeds)
+            after = keep * speeds + gain * self.actions[:, -back] + push
+            after = np.where(is_due, after, speeds)
             turn = np.where(is_due, control_step / 2 * (speeds + after), 0.0)
             joint_angles, speeds = joint_angles + turn, after
         return joint_angles, speeds
