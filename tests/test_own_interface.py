@@ -214,6 +214,8 @@ def test_mmc_body_earns_what_the_environment_asks_for_without_training(tmp_path)
         "second link 20 % longer",
         "first joint held",
         "motor 2 pushed",
+        "sensor 1 stuck",
+        "sensor 2 stuck",
         "a tool of 5 cm",
     ],
 )

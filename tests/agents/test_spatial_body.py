@@ -38,14 +38,17 @@ def target_of(seed):
     return np.random.default_rng(seed).uniform((0.3, -0.3, 0.2), (0.6, 0.3, 0.6))
 
 
-def reached(seed, shares=(), locked=(), build=mmc_body):
+def reached(seed, shares=(), locked=(), stuck=(), build=mmc_body):
     """Reach with a Panda that follows its commands, with links longer by shares, and locked joints.
 
-    Return how far the hand is from its target at the end, and what the agent knows.
+    Some are felt where they were at first.  Return how far the hand is from its target at the end,
+    and what the agent knows.
     """
     agent, state, angles, target = build(INTERFACE), None, START, target_of(seed)
     for _ in range(30):
-        action, state = agent.predict(observation(angles, target, shares), state)
+        seen = observation(angles, target, shares)
+        seen[list(stuck)] = START[list(stuck)]
+        action, state = agent.predict(seen, state)
         turn = TURN * action
         turn[list(locked)] = 0.0
         angles = angles + turn
@@ -63,7 +66,9 @@ LONGER = (0, 0, 0, 0, 0.2, 0, 0, 0.3)
 
 
 @pytest.mark.parametrize("build", [mmc_body, ik_body])
-@pytest.mark.parametrize("body", [{}, {"shares": LONGER}, {"locked": (2, 3)}], ids=str)
+@pytest.mark.parametrize(
+    "body", [{}, {"shares": LONGER}, {"locked": (2, 3)}, {"stuck": (1,)}, {"stuck": (3,)}], ids=str
+)
 def test_the_hand_reaches_with_any_body(build, body):
     assert all(reached(seed, **body, build=build)[0] < 0.02 for seed in range(2))
 
@@ -78,6 +83,18 @@ def test_locked_joints_are_held_in_the_goal_and_no_others():
     _, state = reached(1, locked=(3,))
     stays = state.goal[0, :6] == START[:6]  # the seventh only turns the hand about itself
     np.testing.assert_array_equal(np.flatnonzero(stays), [3])
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3, 5])
+def test_a_sensor_is_stuck_whose_joint_moves_the_hand_and_no_other(joint):
+    for seed in range(2):
+        distance, state = reached(seed, stuck=(joint,))
+        assert distance < 0.005 and np.flatnonzero(state.stuck.offset[0]).tolist() == [joint]
+
+
+@pytest.mark.parametrize("body", [{}, {"shares": LONGER}, {"locked": (1, 3)}], ids=str)
+def test_no_sensor_is_taken_as_stuck_where_none_is(body):
+    assert not any(reached(seed, **body)[1].stuck.offset.any() for seed in range(4))
 
 
 def test_many_arms_are_as_each_alone_and_start_anew_where_episodes_do():

@@ -122,7 +122,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             route=Route.start(joint_angles, as_points(sensed.target)),
             motors=Motors.start(arms, joints),
-            stuck=Stuck.start(joint_angles),
+            stuck=Stuck.start(sensed),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
             response=Response.start(arms, joints, LONGEST_DELAY if self.has_own_act else 0),
@@ -149,7 +149,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if lost is not None:
             step = self.interface.control_step
             seen = state.senses.complete(seen, lost, state.stuck.offset, step)
-        if self.finds_motors:
+        if self.finds_faults:
             state, seen = self._correct(state, seen)
         state = self._observe(state, seen)
         angles, speeds, before = self._predict_now(state, seen)
@@ -177,13 +177,15 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Return the state, and what is seen, with stuck sensors corrected."""
         stuck = state.stuck.feel(seen)
         if any_true(stuck.still) or any_true(state.stuck.still):
-            senses, delay = state.senses, state.senses.delay
+            senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
-            before = senses.posture.joint_angles
-            stuck = stuck.compare(state.evidence.best, before, senses.commanded, counts)
+            before, turns = senses.posture.joint_angles, senses.commanded
+            if not self.has_servos:
+                turns = stuck.shown_by_hand(model, before)
+            stuck = stuck.compare(model, before, turns, counts)
             if any_true(stuck.is_stuck):
-                seen = stuck.corrected(seen, senses.commanded, self.interface.control_step)
+                seen = stuck.corrected(seen, turns, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:

@@ -54,7 +54,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true, where
-from mmc_gym.agents.body_model.forward_model import Bools, Points, squared, to_hand, unit_vectors
+from mmc_gym.agents.body_model.forward_model import (
+    Bools,
+    Points,
+    as_vectors,
+    squared,
+    to_hand,
+    unit_vectors,
+)
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep
 from mmc_gym.geometry import Floats
 
@@ -111,6 +118,11 @@ class Body(NamedTuple):
         """Return the derivatives of the seen hand by the joint angles, both (n, N)."""
         columns = 1j * self.turn[:, None] * to_hand(joint_angles, self.lengths)
         return _mirrored(columns, self.is_mirrored[:, None])
+
+    def hand_model(self, joint_angles: Floats) -> tuple[Floats, Floats]:
+        """Return the seen hand and its derivatives as vectors: a `HandModel`."""
+        hand = self.seen(unit_vectors(joint_angles))
+        return as_vectors(hand), as_vectors(self.jacobian(joint_angles))
 
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is (n,) if it is seen at `seen` (n,)."""

@@ -7,6 +7,9 @@ are compared as in `body`; the offset c follows what is left.
 
 **Locks.**  A joint that hardly turns in spite of its commands is held in the internal model.
 
+**Sensors.**  A joint that is felt to stand still, but moves the hand, turns as the hand says, see
+`stuck`.
+
 **Imagination.**  The model settles from the present posture and from the last goal; if the hand
 still misses the target, also from postures around.  The goal is the nearest posture that reaches.
 """
@@ -15,17 +18,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import FeedbackAgent
+from mmc_gym.agents.base import FeedbackAgent, any_true
 from mmc_gym.agents.body_model.body import PENALTY
 from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.agents.body_model.imagination import TOTAL_WEIGHT
 from mmc_gym.agents.body_model.parts import Parts
+from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.geometry import Floats, damped_least_squares
 from mmc_gym.interface import CannotActError, ReachInterface, Seen, Sensed
 from mmc_gym.robots import HingeArm, HingeNetwork
@@ -61,6 +66,7 @@ class SpatialState(NamedTuple):
     sums: Floats  # Σ WᵀW, (m, n + 2, n + 2)
     shares: Floats  # s, (m, n + 1)
     offset: Floats  # c, (m, 3)
+    stuck: Stuck  # of the sensors
 
 
 class SpatialBodyAgent(FeedbackAgent[SpatialState]):
@@ -69,7 +75,7 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
     is_in_space = True
 
     def __init__(self, interface: ReachInterface, model: SpatialModel, parts: Parts) -> None:
-        """Make the agent; `parts` switch links, locks and imagination off.
+        """Make the agent; `parts` switch links, sensors, locks and imagination off.
 
         It cannot act for an arm in the plane or with slides or followers, or under torque control.
         """
@@ -97,16 +103,41 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
             sums=np.zeros((arms, joints + 2, joints + 2)),
             shares=np.zeros((arms, joints + 1)),
             offset=np.zeros((arms, 3)),
+            stuck=Stuck.start(sensed),
         )
 
     @override
     def respond(self, state: SpatialState, seen: Seen) -> tuple[NDArray[np.float32], SpatialState]:
+        if self.parts.finds_motors:
+            state, seen = self._correct(state, seen)
         state = self._observe_turns(state, seen.joint_angles)
         if self.parts.identifies_body:
             state = self._identify_links(state, seen.hand)
         goals = [self._imagine(state, target, arm) for arm, target in enumerate(seen.target)]
         state = state._replace(goal=np.reshape(goals, seen.joint_angles.shape))
         return self.interface.act(state.goal, seen), state
+
+    def _correct(self, state: SpatialState, seen: Seen) -> tuple[SpatialState, Seen]:
+        """Return the state, and what is seen, with stuck sensors corrected."""
+        stuck, model = state.stuck.feel(seen), partial(self._see, state)
+        if any_true(stuck.still) or any_true(state.stuck.still):
+            turns = stuck.shown_by_hand(model, state.joint_angles)
+            stuck = stuck.compare(model, state.joint_angles, turns, state.looks > 0)
+            seen = stuck.corrected(seen, turns, self.interface.control_step)
+        return state._replace(stuck=stuck), seen
+
+    def _see(self, state: SpatialState, joint_angles: Floats) -> tuple[Floats, Floats]:
+        """Return where hands are seen, (m, 3), and their derivatives: a `HandModel`."""
+        links, axes = self._turned_links(joint_angles)
+        links = (1 + state.shares)[..., None] * links
+        to_hand = np.cumsum(links[:, ::-1], axis=1)[:, ::-1]
+        return to_hand[:, 0] + state.offset, np.cross(axes, to_hand[:, 1:])
+
+    def _turned_links(self, joint_angles: Floats) -> tuple[Floats, Floats]:
+        """Return the links R_i a_i, (m, n + 1, 3), and the axes of the hinges, (m, n, 3)."""
+        frames = self.arm.frames(joint_angles)
+        base, end = np.zeros((len(joint_angles), 1, 3)), frames.hand[:, None, :3, 3]
+        return np.diff(np.concatenate([base, frames.points, end], axis=1), axis=1), frames.axes
 
     def _observe_turns(self, state: SpatialState, joint_angles: Floats) -> SpatialState:
         farthest = self.interface.speed_limit * self.interface.control_step
@@ -118,10 +149,7 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         return state._replace(joint_angles=joint_angles, waited=waited, looks=state.looks + 1)
 
     def _identify_links(self, state: SpatialState, hand: Floats) -> SpatialState:
-        frames = self.arm.frames(state.joint_angles)
-        base, end = np.zeros((len(hand), 1, 3)), frames.hand[:, None, :3, 3]
-        columns = np.diff(np.concatenate([base, frames.points, end], axis=1), axis=1)
-        columns = np.swapaxes(columns, 1, 2)  # R_i a_i, (m, 3, n + 1)
+        columns = np.swapaxes(self._turned_links(state.joint_angles)[0], 1, 2)
         error = hand - columns.sum(axis=-1)
         w = np.concatenate([columns, error[..., None]], axis=-1)
         sums = (1 - FORGET_LINKS) * state.sums + np.swapaxes(w, -1, -2) @ w

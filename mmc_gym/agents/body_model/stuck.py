@@ -6,21 +6,27 @@ as its command should turn it, by p_j, it moves by J_j p_j more.  Where that has
 the hand better, sensor j is stuck.  Its joint then turns by p_j, corrected by what the hand is seen
 to be off by, x:
 
-    θ_j ← θ_j + p_j + Re(J̄_j x) / (Σ |J|² + 0.1) · 0.6        sums over stuck sensors
+    θ_j ← θ_j + p_j + J_jᵀx / (Σ |J|² + 0.1) · 0.6        sums over stuck sensors
+
+If no servo is known, p_j is what the hand says, of the one joint that explains it best:
+
+    p_j = m_j + J_jᵀ(Δx − Σ J_i m_i) / |J_j|²
+
+The hand is in the plane or in space: vectors have 2 or 3 components.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.body import Body
-from mmc_gym.agents.body_model.forward_model import Bools, Points, as_points, squared, unit_vectors
+from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.geometry import Floats, wrap_angle
-from mmc_gym.interface import Seen
+from mmc_gym.interface import Seen, Sensed
 
 STANDS = 1e-5  # a sensor that turns by less stands still, radians
 RECENT = 0.9  # share of the sums of square errors that is left after a control step
@@ -29,15 +35,19 @@ EXACT = 1e-5  # sum of square errors that is as good as none, segment lengths²
 STILL = 2.0  # observations in turn without a change after which a sensor may be stuck
 FOLLOWS = 0.6  # rate at which the angle of such a joint follows the hand
 DAMPING = 0.1  # of that, segment lengths²
+NEGLIGIBLE = 1e-3  # square of a joint's distance from the hand that is as good as 0, likewise
+
+HandModel: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
+"""A function of postures (n, N) that returns hands (n, d) and their derivatives (n, N, d)."""
 
 
 class Stuck(NamedTuple):
     """What is known of the sensors of n arms with N joints."""
 
     felt: Floats  # joint angles as last felt, (n, N)
-    hand: Points  # as last seen, (n,)
+    hand: Floats  # as last seen, (n, d)
     turn: Floats  # how far joints were last felt to turn, (n, N)
-    move: Points  # and how far the hand was seen to move, (n,)
+    move: Floats  # and how far the hand was seen to move, (n, d)
     still: Floats  # observations in turn without a change, (n, N)
     error: Floats  # recent square errors of the hand's movement if no sensor is stuck, (n, 1)
     error_if_stuck: Floats  # and if one is, (n, N)
@@ -45,19 +55,20 @@ class Stuck(NamedTuple):
     offset: Floats  # how far joints turned since their sensors got stuck, radians, (n, N)
 
     @classmethod
-    def start(cls, joint_angles: Floats) -> Stuck:
+    def start(cls, sensed: Sensed) -> Stuck:
         """Return what is known before the first look at the hand."""
-        zero, hand = np.zeros_like(joint_angles), np.zeros(len(joint_angles), complex)
-        return cls(joint_angles, hand, zero, hand, zero, zero[:, :1], zero, zero > 0, zero)
+        felt = sensed.joint_angles
+        zero, hand = np.zeros_like(felt), np.zeros_like(sensed.target)
+        return cls(felt, hand, zero, hand, zero, zero[:, :1], zero, zero > 0, zero)
 
     def feel(self, seen: Seen) -> Stuck:
         """Return it after an observation."""
-        hand, felt = as_points(seen.hand), seen.joint_angles
+        hand, felt = seen.hand, seen.joint_angles
         turn = wrap_angle(felt - self.felt)
         still = (self.still + 1) * (np.abs(turn) < STANDS)
         return self._replace(felt=felt, hand=hand, turn=turn, move=hand - self.hand, still=still)
 
-    def compare(self, body: Body, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
+    def compare(self, model: HandModel, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
         """Return it after the hand's movement is compared with that of the joints.
 
         Joints were at `before`, and should have turned as `commanded`, (n, N); some arms count,
@@ -65,23 +76,24 @@ class Stuck(NamedTuple):
         stuck.
         """
         is_watched = np.any(self.still > 0, axis=-1, keepdims=True)
-        columns = body.jacobian(before + self.turn / 2)
+        _, columns = model(before + self.turn / 2)
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
-        lacks = self.move[:, None] - (columns * self.turn).sum(axis=-1, keepdims=True)
-        lacks_if_stuck = lacks - columns * (commanded - self.turn)
+        lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
+        lacks_if_stuck = lacks[:, None] - columns * (commanded - self.turn)[..., None]
         counts = counts[:, None]
-        error = RECENT * self.error + counts * squared(lacks)
-        error_if_stuck = RECENT * self.error_if_stuck + counts * squared(lacks_if_stuck)
+        error = RECENT * self.error + counts * _squared(lacks)[:, None]
+        error_if_stuck = RECENT * self.error_if_stuck + counts * _squared(lacks_if_stuck)
         is_better = error_if_stuck < BETTER * error - EXACT
         is_worse = error < BETTER * error_if_stuck - EXACT
         is_stuck = (self.still > STILL) & (is_better | (self.is_stuck & ~is_worse))
         offset = (self.offset + counts * commanded) * is_stuck
         if any_true(is_stuck):
             angles = self.felt + offset
-            off = self.hand - body.seen(unit_vectors(angles))
-            pulls = body.jacobian(angles) * is_stuck
-            size = squared(pulls).sum(axis=-1, keepdims=True) + DAMPING
-            offset = offset + counts * FOLLOWS * (pulls.conj() * off[:, None]).real / size
+            hand, columns = model(angles)
+            pulls = columns * is_stuck[..., None]
+            size = _squared(pulls).sum(axis=-1, keepdims=True) + DAMPING
+            pull = (pulls * (self.hand - hand)[:, None]).sum(axis=-1)
+            offset = offset + counts * FOLLOWS * pull / size
         return self._replace(
             error=error * is_watched,
             error_if_stuck=error_if_stuck * is_watched,
@@ -89,7 +101,27 @@ class Stuck(NamedTuple):
             offset=offset,
         )
 
+    def shown_by_hand(self, model: HandModel, before: Floats) -> Floats:
+        """Return how far joints turned, (n, N), by the hand's movement, if no servo is known.
+
+        Of the joints that stand still, or whose sensor is stuck, the one that explains best what
+        the movement lacks turned so; the others as they are felt to.
+        """
+        _, columns = model(before + self.turn / 2)
+        lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
+        pull, size = (columns * lacks[:, None]).sum(axis=-1), _squared(columns) + NEGLIGIBLE
+        is_known = np.any(self.is_stuck, axis=-1, keepdims=True)
+        explained = pull * pull / size * np.where(is_known, self.is_stuck, self.still > 0)
+        is_best = explained == explained.max(axis=-1, keepdims=True)
+        return self.turn + is_best * pull / size
+
     def corrected(self, seen: Seen, commanded: Floats, control_step: float) -> Seen:
         """Return what is seen, with the angles and speeds of joints whose sensors are stuck."""
         speeds = np.where(self.is_stuck, commanded / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
+
+
+def _squared(vectors: Floats) -> Floats:
+    """Return the squared lengths (...) of vectors (..., d)."""
+    square: Floats = (vectors * vectors).sum(axis=-1)
+    return square
