@@ -75,9 +75,9 @@ class TrueBody:
         if replace(self, fault=NO_FAULT) == TrueBody():
             return self._failing(env)
         model = Path(env.unwrapped.fullpath).read_text()  # type: ignore[attr-defined]
-        for link, given, length in zip(LINKS, LENGTHS, self.lengths, strict=True):
-            assert link.format(given) in model
-            model = model.replace(link.format(given), link.format(length))
+        for link, old_length, length in zip(LINKS, LENGTHS, self.lengths, strict=True):
+            assert link.format(old_length) in model
+            model = model.replace(link.format(old_length), link.format(length))
         if self.held is not None:
             model, count = re.subn(rf'(name="joint{self.held}")', r'\1 frictionloss="1000"', model)
             assert count == 1
