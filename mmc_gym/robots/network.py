@@ -37,6 +37,11 @@ Near a solution no mode diverges for d > n/2 without a velocity, and for d > n/(
 it, as long as it is not forgotten: n estimates may all ask for the same.  Those of few hinges, or
 of hinges in a plane, do, and need d > n/2.  (The bound of `MMCNetwork` is (N + 1)/2.)
 
+**The last steps** of `solve` are not the network's.  The estimates α are the diagonal of a system,
+JᵀJ δq = Jᵀe, where J has the levers u_i × v_kg as columns.  From 8 cm and 0.4 rad on all of it is
+solved, damped by |e|² (Newton's method, Levenberg), which takes some five steps where the network
+takes forty or more.  `run` is the network alone.
+
 So this shares the vectors, their triangles, clamps, damping and velocity with `MMCNetwork`, but it
 averages over hinges, where `MMCNetwork` averages over triangles and then normalizes each segment.
 For ball joints that works in space, too.
