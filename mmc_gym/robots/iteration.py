@@ -83,6 +83,18 @@ def solve_tasks(
             _settle(this, course, course.last)
             if course.has_both or this.rank < end.rank:
                 _keep(end, this)
+        if course.has_both and end.far >= course.far:
+            _look(this, pool[0], lacks, course, course.place)
+            for _ in range(min(course.quick_tries, course.starts - 1)):
+                nearest = np.argmin(lacks)
+                lacks[nearest] = np.inf
+                _go_to(this, pool[0, nearest].angle)
+                _settle(this, course, course.place)
+                _settle(this, course, course.last)
+                end.iterations += this.iterations
+                is_as_near = this.far < max(end.far, course.far)
+                if this.far < end.far - course.far or (is_as_near and this.turn < end.turn):
+                    _keep(end, this)
 
 
 @inner

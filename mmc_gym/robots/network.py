@@ -300,7 +300,7 @@ class HingeNetwork:
         tries = self._tries(np.broadcast_to(clamps.tasks, batch))
         tries["angle"], tries["velocity"] = state.joint_angles, state.joint_velocities
         pace = self._pace(clamps.hold, iterations)
-        race = Race(pace, pace, pace, pace, self.velocity_decay)
+        race = Race(pace, pace, pace, pace, pace, self.velocity_decay)
         course = course_of(self.arm, clamps.hold, race)
         _compiled().settle_tries(tries.reshape(-1), course, course["near"])
         return HingeState(tries["angle"].copy(), tries["velocity"].copy())
@@ -467,7 +467,7 @@ def _course(
     if starts == 1:  # such as that of an agent's step: it has all iterations
         quick = near if far < exact[0] or turn < exact[1] else plain
     race = Race(
-        *(near, quick, calm, last),
+        *(near, quick, calm, quick._replace(weight=0.0), last),
         *(network.velocity_decay, far, turn, *loose),
         ridge=(RIDGE * far) ** 2,
         near_start=(NEAR_START * length) ** 2,

@@ -45,6 +45,7 @@ class Race(NamedTuple):
     near: Pace  #: of a given start that lacks less than `near_start`; the pace of `run`
     quick: Pace  #: of the next ones
     calm: Pace  #: of those that follow
+    place: Pace  #: of more starts where it misses a place, which come before a rotation
     last: Pace  #: of the nearest end, where none has settled
     decay: float  #: factor on the velocity
     far: float = 0.0  #: tolerance of held nodes, m; all are 0 where iterations shall not stop

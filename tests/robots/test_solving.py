@@ -385,3 +385,13 @@ def test_where_both_cannot_be_had_the_place_comes_first(kind, bound, prefer):
         free = np.linalg.svd(jacobian[:3])[2][3:]
         slopes.append(np.abs(free @ pull).max())
     assert np.median(slopes) < 1e-3
+
+
+def test_a_place_within_reach_is_met_whatever_the_rotation():
+    postures = np.random.default_rng(1).uniform(*PANDA.limits.T, (60, 7))
+    postures[:, [0, 2]] = 0.0  # the other five joints reach all places, but not any rotation there
+    poses = PANDA.forward(postures)
+    poses[:, :3, :3] = poses[::-1, :3, :3]
+    solution = HingeNetwork(PANDA).solve(pose=poses, held={0: 0.0, 2: 0.0})
+    assert not solution.is_solved.any()
+    assert (solution.position_error < 1e-3).all()
