@@ -109,7 +109,7 @@ class Arm:
         return np.array([*poses, pose @ self.offsets[-1]])
 
     def urdf(self) -> str:
-        """Return a URDF with the links base, link0, … hand, and elbow; nothing is drawn."""
+        """Return the arm as URDF text: links base, link0, …, hand and elbow, without meshes."""
         parents = ["base", *(f"link{joint}" for joint in range(len(self.limits)))]
         text = '<link name="base"/>'
         for joint, (low, high) in enumerate(self.limits):
@@ -249,7 +249,7 @@ class Mmc(Solver):
         ).joint_angles
 
     def solve_all(self, targets: Array, starts: Array) -> Array:
-        """Return (..., n) for poses (..., 4, 4) in one call."""
+        """Return joint angles (..., n) for poses of the hand (..., 4, 4), all in one call."""
         solution = self.network.solve(targets[..., :3, 3], targets[..., :3, :3], start=starts)
         return solution.joint_angles
 

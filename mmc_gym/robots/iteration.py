@@ -50,13 +50,13 @@ def solve_tasks(
     `starts` has a given start for each task, or else a row for all, to which whole turns are
     nearest.  The first try is from the given start, the others from one row of the pool after the
     other, those first that lack least.  Of four tries after a given start the nearest to it wins.
-    `kind` is an array of no tries.
+    `kind` is an empty array of tries, from which one of that type is made.
     """
     course, lacks = courses[0], np.empty(pool.shape[1])
     this = np.empty(1, kind.dtype)[0]  # Python takes ten times as long to make one
     for t in range(len(tasks)):
         end = ends[t]
-        end.rank, end.iterations = np.inf, 0
+        end.rank, end.iterations, end.is_solved = np.inf, 0, False
         _take(this, tasks[t], starts[t if has_start else 0])
         for attempt in range(course.starts):
             pace = course.quick if attempt < course.quick_tries else course.calm

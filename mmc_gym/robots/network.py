@@ -423,7 +423,7 @@ class HingeNetwork:
 
     @cached_property
     def _home_turn(self) -> Floats:
-        """Return the inverse rotation of the hand in the zero posture, for speed without gaps."""
+        """Return the inverse rotation of the hand in the zero posture; contiguous, for speed."""
         return self.arm.home[:3, :3].T.copy()
 
     @cached_property
@@ -445,7 +445,7 @@ def _compiled() -> ModuleType:
 def _course(
     network: HingeNetwork, hold: Hold, far: float, turn: float, iterations: int, starts: int
 ) -> tuple[Records, Records]:
-    """Return when tries are near and how they follow each other, and an array of no tries."""
+    """Return what the tries of a solve share, see `course_of`, and an empty array of tries."""
     length = network._length
     exact = max(EXACT[0], EXACT_SHARE * length), EXACT[1]
     early = EARLY if starts > 1 else (1, 1)

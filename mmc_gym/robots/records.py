@@ -15,7 +15,7 @@ Records: TypeAlias = NDArray[np.void]
 
 
 class Hold(NamedTuple):
-    """What a task holds; of its parts those that are not numbers."""
+    """Which parts of an arm a task holds; not where, so that tasks of a kind share a course."""
 
     nodes: tuple[int, ...]  #: held nodes, the hand or the tool among them
     has_rotation: bool  #: whether the hand's rotation, or a direction of it, is held
@@ -45,7 +45,7 @@ class Race(NamedTuple):
     near: Pace  #: of a given start that lacks less than `near_start`; the pace of `run`
     quick: Pace  #: of the next ones
     calm: Pace  #: of those that follow
-    place: Pace  #: of more starts where it misses a place, which come before a rotation
+    place: Pace  #: of more starts, for the place alone, where all tries miss it
     last: Pace  #: of the nearest end, where none has settled
     decay: float  #: factor on the velocity
     far: float = 0.0  #: tolerance of held nodes, m; all are 0 where iterations shall not stop

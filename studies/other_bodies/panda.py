@@ -39,7 +39,8 @@ from studies.other_bodies.faults import NO_FAULT, Fault, Faulty
 from studies.other_bodies.panda_bodies import NEUTRAL, changed_urdf, make_env
 from studies.tables import table_of
 
-INTERFACE, NEAR = PandaReach(), 0.01
+INTERFACE = PandaReach()
+NEAR = 0.01  # metres, from the target, of a hand that stays
 BODIES: dict[str, dict[str, Any]] = {
     "given": {},
     "base 20 % longer": {"longer": {"panda_joint1": 1.2}},
