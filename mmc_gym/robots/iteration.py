@@ -53,8 +53,9 @@ def solve_tasks(
     `kind` is an empty array of tries, from which one of that type is made.
     """
     course, lacks = courses[0], np.empty(pool.shape[1])
-    this = np.empty(1, kind.dtype)[0]  # Python takes ten times as long to make one
+    tries = np.empty(1, kind.dtype)  # Python takes ten times as long to make one
     for t in range(len(tasks)):
+        this = tries[0]  # here, because a record does not keep its array alive
         end = ends[t]
         end.rank, end.iterations, end.is_solved = np.inf, 0, False
         _take(this, tasks[t], starts[t if has_start else 0])
