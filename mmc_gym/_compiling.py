@@ -6,6 +6,7 @@ changes: functions that call each other belong in one file, but for `sine_cosine
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +22,18 @@ except ModuleNotFoundError as error:
     if error.name != "numba":
         raise
     raise missing("HingeNetwork or engine 'analytic'", "numba", "fast") from error
+
+
+def _fingerprint(record: Any) -> tuple[str, tuple[str]]:
+    """Return what stands for a type of records in the names of compiled functions.
+
+    numba counts the types of a process.  Two processes give the same number to different types, and
+    a third one that loads the code of both from disk runs the one in place of the other.
+    """
+    return "Record", (hashlib.sha256(record.name.encode()).hexdigest()[:16],)
+
+
+numba.types.Record.mangling_args = property(_fingerprint)  # type: ignore[method-assign,assignment]
 
 inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 """Compile a function that others in its file call; a loop is no vector if it holds a call to it."""
