@@ -56,9 +56,9 @@ def test_what_ships_does_as_well_as_its_card_says(name):
     network, card = load_policy(PRETRAINED / f"{name}-0.json")
     scores = evaluate_policy(network, card, policy.EVALUATION_EPISODES)
     last = card.learning_curve[-1]
-    for measure in ("success", "final_distance", "episode_return"):
-        # Another machine's arithmetic may end a few episodes otherwise.
-        assert scores[measure] == pytest.approx(last[measure], rel=0.05, abs=0.02)
+    # Another machine's arithmetic may end a few episodes otherwise; mean returns may be near 0.
+    for measure, most in (("success", 0.02), ("final_distance", 0.02), ("episode_return", 1.0)):
+        assert scores[measure] == pytest.approx(last[measure], rel=0.05, abs=most)
 
 
 @pytest.mark.parametrize(("name", "seed"), BY_DAY)
