@@ -185,7 +185,9 @@ def require_floats(name: str, value: object, trailing: tuple[int, ...]) -> NDArr
 
 
 def all_true(values: NDArray[Any]) -> bool:
-    """Return whether no value is 0; for small arrays twice as fast as `all`."""
+    """Return whether no value is 0; of few values two to ten times as fast as `all`."""
+    if values.dtype.char == "?":
+        return 0 not in values.tobytes()
     return bool(np.count_nonzero(values) == values.size)
 
 

@@ -250,7 +250,9 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
 
 
 def any_true(values: NDArray[Any]) -> bool:
-    """Return whether any value is not 0; for small arrays three times as fast as `any`."""
+    """Return whether any value is not 0; of few values three to ten times as fast as `any`."""
+    if values.dtype.char == "?":
+        return 1 in values.tobytes()
     return bool(np.count_nonzero(values))
 
 

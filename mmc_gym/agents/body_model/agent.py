@@ -176,14 +176,17 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with stuck sensors corrected."""
         stuck = state.stuck.feel(seen)
-        if any_true(stuck.still) or any_true(state.stuck.still):
+        if not (any_true(stuck.still) or any_true(state.stuck.still)):
+            return state._replace(stuck=stuck), seen
+        doubted = stuck.doubted(state.stuck)
+        if any_true(doubted):
             senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
             before, turns = senses.posture.joint_angles, senses.commanded
             if not self.has_servos:
                 turns = stuck.shown_by_hand(model, before)
-            stuck = stuck.compare(model, before, turns, counts)
+            stuck = where(doubted, stuck.compare(model, before, turns, counts), stuck)
             if any_true(stuck.is_stuck):
                 seen = stuck.corrected(seen, turns, self.interface.control_step)
         return state._replace(stuck=stuck), seen

@@ -114,15 +114,12 @@ class Body(NamedTuple):
         place = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return _mirrored(place, self.is_mirrored)
 
-    def jacobian(self, joint_angles: Floats) -> Points:
-        """Return the derivatives of the seen hand by the joint angles, both (n, N)."""
-        columns = 1j * self.turn[:, None] * to_hand(joint_angles, self.lengths)
-        return _mirrored(columns, self.is_mirrored[:, None])
-
     def hand_model(self, joint_angles: Floats) -> tuple[Floats, Floats]:
-        """Return the seen hand and its derivatives as vectors: a `HandModel`."""
-        hand = self.seen(unit_vectors(joint_angles))
-        return as_vectors(hand), as_vectors(self.jacobian(joint_angles))
+        """Return the seen hand and its derivatives by joint angles as vectors: a `HandModel`."""
+        levers = self.turn[:, None] * to_hand(joint_angles, self.lengths)
+        hand = _mirrored(levers[:, 0] + self.shift, self.is_mirrored)
+        columns = _mirrored(1j * levers, self.is_mirrored[:, None])
+        return as_vectors(hand), as_vectors(columns)
 
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is (n,) if it is seen at `seen` (n,)."""

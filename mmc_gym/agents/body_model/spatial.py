@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import FeedbackAgent, any_true
+from mmc_gym.agents.base import FeedbackAgent, any_true, where
 from mmc_gym.agents.body_model.body import PENALTY
 from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.agents.body_model.imagination import TOTAL_WEIGHT
@@ -120,9 +120,11 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
     def _correct(self, state: SpatialState, seen: Seen) -> tuple[SpatialState, Seen]:
         """Return the state, and what is seen, with stuck sensors corrected."""
         stuck, model = state.stuck.feel(seen), partial(self._see, state)
-        if any_true(stuck.still) or any_true(state.stuck.still):
+        doubted = stuck.doubted(state.stuck)
+        if any_true(doubted):
             turns = stuck.shown_by_hand(model, state.joint_angles)
-            stuck = stuck.compare(model, state.joint_angles, turns, state.looks > 0)
+            compared = stuck.compare(model, state.joint_angles, turns, state.looks > 0)
+            stuck = where(doubted, compared, stuck)
             seen = stuck.corrected(seen, turns, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 

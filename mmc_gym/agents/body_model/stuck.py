@@ -28,7 +28,7 @@ from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
-STANDS = 1e-5  # a sensor that turns by less stands still, radians
+STANDS = 1e-5  # a joint or hand that moves by less stands still, radians or segment lengths
 RECENT = 0.9  # share of the sums of square errors that is left after a control step
 BETTER = 0.5  # ratio of these sums below which a sensor is stuck
 EXACT = 1e-5  # sum of square errors that is as good as none, segment lengths²
@@ -68,12 +68,21 @@ class Stuck(NamedTuple):
         still = (self.still + 1) * (np.abs(turn) < STANDS)
         return self._replace(felt=felt, hand=hand, turn=turn, move=hand - self.hand, still=still)
 
+    def doubted(self, before: Stuck) -> Bools:
+        """Return which arms may have a stuck sensor, (n,), if it was so `before` an observation.
+
+        A joint stands still, or did so before, while the hand moves; or a sensor was stuck.
+        """
+        stands = np.any((self.still > 0) | (before.still > 0), axis=-1)
+        moves = np.any(np.abs(self.move) > STANDS, axis=-1)
+        doubted: Bools = (stands & moves) | np.any(before.is_stuck, axis=-1)
+        return doubted
+
     def compare(self, model: HandModel, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
         """Return it after the hand's movement is compared with that of the joints.
 
         Joints were at `before`, and should have turned as `commanded`, (n, N); some arms count,
-        (n,).  Only needed where a joint stands still, or did so before; no sensor of other arms is
-        stuck.
+        (n,).  Only needed for arms that are `doubted`.
         """
         is_watched = np.any(self.still > 0, axis=-1, keepdims=True)
         _, columns = model(before + self.turn / 2)
