@@ -50,6 +50,7 @@ _LAST_ROW = [0.0, 0.0, 0.0, 1.0]  # of a pose
 _MEET = 1e-4  # axes meet in a point if all pass it within this distance, m
 # Largest deviation of a rotation times its transpose from the identity: as it is, and rounded.
 _SQUARE, _ROUNDED = 1e-6, 1e-3
+_UNDECLARED_PREFIX = 201  # of libxml2: XML_NS_ERR_UNDEFINED_NAMESPACE
 _ENDLESS = 1e3  # limits beyond are none: files write such numbers for "no limit", radians or m
 _LARGEST_FILE = 16 * 2**20  # bytes of a URDF file
 
@@ -168,14 +169,16 @@ class HingeArm:
         object.__setattr__(self, "axes", self.axes / lengths)
         below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
         require(below, "limits", self.limits, "pairs of a lower and a higher angle")
-        strokes = self.limits[[*compress(self.axis_joints, self.is_slide)]]
-        accepted = f"finite for slides, within ±{_ENDLESS:g}"
-        require(bool(np.isfinite(strokes).all()), "limits", self.limits, accepted)
         object.__setattr__(self, "home", require_poses("home", self.home))
         names = tuple(self.joint_names) or tuple(f"joint_{joint}" for joint in range(count))
         is_named = len(set(names)) == len(names) == count and all(isinstance(n, str) for n in names)
         require(is_named, "joint_names", names, f"{count} different names")
         object.__setattr__(self, "joint_names", names)
+        for joint in compress(self.axis_joints, self.is_slide):
+            accepted = f"within ±{_ENDLESS:g}, as it moves a slide"
+            bounds = tuple(self.limits[joint].tolist())
+            is_finite = bool(np.isfinite(bounds).all())
+            require(is_finite, f"limits of {names[joint]!r}", bounds, accepted)
 
     def __str__(self) -> str:
         """Return a line for each joint, from base to hand: name, limits in radians or m, nodes."""
@@ -499,7 +502,10 @@ def _parse(path: Path) -> Any:
     try:
         tree = etree.fromstring(path.read_bytes(), strict).getroottree()
     except etree.XMLSyntaxError as error:
-        raise UserError(f"{path} is not well-formed XML: {error.msg}") from error
+        remedy = ""
+        if error.code == _UNDECLARED_PREFIX:
+            remedy = ': declare it, as in <robot name="arm" xmlns:drake="drake">'
+        raise UserError(f"{path} is not well-formed XML: {error.msg}{remedy}") from error
     if tree.docinfo.doctype or tree.getroot().tag != "robot":
         raise UserError(f"{path} must be a URDF file: a <robot>, without a DOCTYPE")
     if macros := tree.xpath("//*[contains(namespace-uri(), 'xacro') or @*[contains(., '${')]]"):

@@ -107,7 +107,7 @@ PLACE_FIRST = 0.003  # weight of rotation where places go first, shares of toler
 PLACE_STEPS = 60  # of Newton's method, then
 DISTINCT = 0.1  # difference of a joint by which solutions are not the same, radians or m
 _TOLERANCES = "two positive numbers, of position in m and of rotation in radians"
-_NO_START = "without prefer or solutions, where all starts settle"
+_NO_START = "None beside prefer or solutions, for which all starts settle"
 _AXES = get_args(Axis)
 _NO_TURN: Floats = np.zeros((3, 3))
 _SINGLE = float(np.finfo(np.float32).eps)
@@ -277,7 +277,7 @@ class HingeNetwork:
                 movers = zip(arm.axis_joints, arm.is_slide)
                 units = {"m" if slides else "rad" for mover, slides in movers if mover == joint}
                 accepted = f"{low:.6g} to {high:.6g} {' or '.join(sorted(units))}"
-                require(False, "held", value, f"within the limits of {name!r}, {accepted}")
+                require(False, "held", angle.tolist(), f"within the limits of {name!r}, {accepted}")
         return angles
 
     def _places(self, points: Mapping[int, ArrayLike]) -> dict[int, Floats]:

@@ -350,8 +350,8 @@ def test_out_of_reach_starts_that_get_no_nearer_end_early():
         ({"solutions": 0}, "solutions must be a whole number of at least 1"),
         ({"solutions": 257}, "solutions must be at most 256"),
         ({"prefer": np.zeros(6)}, r"prefer must be of shape \(..., 7\)"),
-        ({"prefer": np.zeros(7), "start": np.zeros(7)}, "start must be without prefer"),
-        ({"solutions": 2, "start": np.zeros(7)}, "start must be without prefer or solutions"),
+        ({"prefer": np.zeros(7), "start": np.zeros(7)}, "start must be None beside prefer"),
+        ({"solutions": 2, "start": np.zeros(7)}, "start must be None beside prefer or solutions"),
     ],
 )
 def test_what_is_preferred_has_to_fit(task, message):

@@ -344,7 +344,7 @@ def test_a_joint_that_cannot_be_in_a_chain_is_named_with_its_line(before, after,
         ("axis_joints", (1, 0), "axis_joints must be 4 numbers"),
         ("ratios", (1, 1, 0, 1), "ratios must be 4 finite numbers"),
         ("is_slide", (True,), "is_slide must be 4 times"),
-        ("is_slide", (False, False, False, True), "limits must be finite for slides"),
+        ("is_slide", (False, False, False, True), "limits of 'turn' must be within ±1000"),
     ],
 )
 def test_axes_that_no_joint_can_move_are_refused(field, value, message, tmp_path):
@@ -370,6 +370,14 @@ def test_what_is_not_joined_to_the_base_or_floats_or_is_all_held_is_refused(tmp_
         read(tmp_path, TWO_ARMS, "head", "left")
     with pytest.raises(UserError, match="between base 'l2' and tip 'l1' must be a hinge"):
         read(tmp_path, TWO_ARMS, "l2", "l1")
+
+
+def test_a_prefix_that_is_not_declared_is_refused_until_it_is(tmp_path):
+    urdf = TELESCOPE.replace("<limit ", '<limit drake:acceleration="1" ')
+    with pytest.raises(UserError, match=r"drake .* is not defined, .* <robot name=.* xmlns:drake="):
+        read(tmp_path, urdf, "a", "h")
+    declared = urdf.replace("<robot ", '<robot xmlns:drake="drake" ')
+    assert read(tmp_path, declared, "a", "h").joint_count > 1
 
 
 @pytest.mark.parametrize(
