@@ -67,6 +67,47 @@ def test_effects_on_actions_follow_each_other_in_the_documented_order():
     np.testing.assert_allclose(sent_by(*WHAT_MOTORS_DO), everything, atol=1e-15)
 
 
+def test_actions_are_clipped_after_all_effects():
+    for first, second in (
+        ("motor-gain-2", "motor-offset--0.5"),
+        ("motor-offset-0.5", "backlash-0.3"),
+    ):
+        effects = {**WHAT_MOTORS_DO, "motor-gain-2": lambda past, _: 2 * past[-1]}
+        effects |= {
+            f"motor-offset-{by}": lambda past, _, by=by: past[-1] + by for by in (-0.5, 0.5)
+        }
+        sent = sent_by(first, second)
+        np.testing.assert_allclose(sent, expected_of(effects[first], effects[second]), atol=1e-15)
+
+
+def test_an_action_that_is_dropped_and_held_is_held():
+    sent = sent_by("dropped-actions-1-at-0.2", "held-actions-1-at-0.2")
+    np.testing.assert_array_equal(sent[10:], np.tile(ACTIONS[9], (30, 1)))
+
+
+@pytest.mark.parametrize("family", ["dropped-actions", "held-actions", "repeated-actions"])
+def test_what_is_dropped_held_or_repeated_arrives_late_and_is_pushed_then(family):
+    missed = sent_by(f"{family}-0.3")
+    np.testing.assert_array_equal(sent_by(f"{family}-0.3", "action-delay-40")[2:], missed[:-2])
+    pushed = np.clip(missed + 0.3, -1, 1)
+    np.testing.assert_allclose(sent_by(f"{family}-0.3", "motor-offset-0.3"), pushed, atol=1e-15)
+
+
+def test_a_motor_has_its_gain_when_a_late_action_arrives():
+    gain = sent_by("motor-gain-0.5-at-0.4") / ACTIONS
+    assert {*gain.ravel().round(6)} == {0.5, 1.0}
+    late = sent_by("motor-gain-0.5-at-0.4", "action-delay-40")
+    np.testing.assert_allclose(late[2:], gain[2:] * ACTIONS[:-2], atol=1e-15)
+
+
+def test_noise_that_grows_with_actions_grows_with_a_push():
+    normal = (sent_by("action-noise-size-0.2") - ACTIONS) / np.abs(ACTIONS)
+    noisy = ACTIONS + 0.3 + normal * np.abs(ACTIONS + 0.3)
+    sent = sent_by("action-noise-size-0.2", "motor-offset-0.3")
+    is_clear = np.abs(ACTIONS) < 0.6  # and neither was clipped
+    np.testing.assert_allclose(sent[is_clear], noisy.clip(-1, 1)[is_clear], atol=1e-6)
+
+
 def test_noise_of_actions_lies_between_offset_and_dead_zone():
     sent = sent_by("action-noise-0.1", "dead-zone-0.4", "motor-offset-0.2")
     asked = ACTIONS + 0.2
