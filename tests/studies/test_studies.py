@@ -20,6 +20,10 @@ FEW = "--episodes 3 --scenarios random longer-20"
 # A short run of each: its arguments, and what it prints.
 SHORT = {
     "body_model.parts": (f"{FEW} --tables parts switches vigour", r"longer-20 .* 100\.0"),
+    "body_model.constants": (
+        "--episodes 3 --scenarios delay-400 --only LONGEST_DELAY FORGET",
+        r"(?s)body\.FORGET .* senses\.LONGEST_DELAY .* -66\.67 .* delay-400",
+    ),
     "body_model.failures": (FEW, r"failures of mmc-body"),
     "body_model.standings": ("--stores store", r"tasks, unperturbed \(1\)"),
     "body_model.hidden_scenarios": ("--episodes 2 --only delay-60", r"delay-60 .* 100\.0"),
