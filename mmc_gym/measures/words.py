@@ -82,13 +82,13 @@ AGAINST = (
 )
 GENERALISATION = (
     "Success, %, inside the ranges of a training, between them, beyond them, and in combinations "
-    "of what it only met one at a time. Below: regret to {best}, how much more often that ends at "
-    "the target, with its 95 % interval; below 0 where learning beats it."
+    "of what it only met one at a time. The second number is the regret to {best}: how much more "
+    "often that ends at the target, with its 95 % interval; below 0 where learning beats it."
 )
 KINDS = (
     "Success, %, by group of perturbations. Never met: of trainings without that group, one for "
-    "each. Below: regret to {best}, how much more often that ends at the target, with its 95 % "
-    "interval."
+    "each. The second number is the regret to {best}: how much more often that ends at the target, "
+    "with its 95 % interval."
 )
 FAILURES = (
     "Failed: the hand is not at the target at the end of the episode. A number shows that episode "
