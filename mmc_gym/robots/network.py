@@ -252,8 +252,9 @@ class HingeNetwork:
         shapes = [angle.shape for angle in angles.values()]
         shapes += [place.shape[:-1] for place in places.values()]
         shapes.append(turn.shape[:-2])
-        tasks = np.zeros(require_batch("clamps", shapes), task_type(arm.joint_count, last + 1))
-        tasks["low"], tasks["high"], tasks["rotation"] = arm.limits[:, 0], arm.limits[:, 1], turn
+        free_task = _free_task(arm, last + 1)
+        tasks = np.empty(require_batch("clamps", shapes), free_task.dtype)
+        tasks[...], tasks["rotation"] = free_task, turn
         for joint, angle in angles.items():
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, place in places.items():
@@ -388,8 +389,8 @@ class HingeNetwork:
         else:
             _compiled().solve_tasks(tasks, near, has_start, pool, ends[:, 0], kind, course)
         ends = ends.reshape(batch if solutions is None else (*batch, count))
-        fields = ("angle", "far", "turn", "iterations", "is_solved")
-        return HingeSolution(*(ends[name] for name in fields))
+        reached = ends["angle"], ends["far"], ends["turn"]
+        return HingeSolution(*reached, ends["iterations"], ends["is_solved"])
 
     def _tries(self, tasks: Records) -> Records:
         """Return tries at rest for tasks (...)."""
@@ -481,6 +482,14 @@ def _course(
 
 
 @lru_cache(maxsize=16)
+def _free_task(arm: HingeArm, nodes: int) -> Records:
+    """Return a task that holds nothing, an array () with the limits."""
+    task = np.zeros((), task_type(arm.joint_count, nodes))
+    task["low"], task["high"] = arm.limits.T
+    return task
+
+
+@lru_cache(maxsize=16)
 def _pool(arm: HingeArm, rows: int, seed: int) -> Records:
     """Return postures within the limits, (rows, POOL); those of the second row are near limits."""
     random, n = np.random.default_rng([seed, POOL, 77]), arm.joint_count  # not as users draw
@@ -552,7 +561,9 @@ def _rotations(rotation: Any) -> Floats:
         quaternions /= length
         cross = np.cross(np.eye(3), quaternions[..., None, :3])  # cross @ x = (x, y, z) × x
         return np.eye(3) + 2 * quaternions[..., 3:, None] * cross + 2 * cross @ cross
-    return nearest_rotations("rotation", _floats("rotation", value, (3, 3)))
+    if value.shape[-2:] != (3, 3):
+        value = _floats("rotation", value, (3, 3))  # raises
+    return nearest_rotations("rotation", value)
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
