@@ -549,9 +549,10 @@ def _tool_pose(tool: ArrayLike) -> Floats:
 
 def _rotations(rotation: Any) -> Floats:
     """Return rotations (..., 3, 3) that are given as such, as quaternions or as scipy's."""
-    value = require_array(
-        "rotation", rotation.as_matrix() if hasattr(rotation, "as_matrix") else rotation
-    )
+    matrix = rotation.as_matrix() if hasattr(rotation, "as_matrix") else rotation
+    value = require_array("rotation", matrix)
+    if value.shape[-2:] == (3, 3):
+        return nearest_rotations("rotation", value)
     is_pose = value.shape[-2:] == (4, 4) and bool((value[..., 3, :] == (0, 0, 0, 1)).all())
     if value.shape[-1:] == (4,) and not is_pose:
         quaternions = _floats("rotation", value, (4,))
@@ -561,11 +562,10 @@ def _rotations(rotation: Any) -> Floats:
         quaternions /= length
         cross = np.cross(np.eye(3), quaternions[..., None, :3])  # cross @ x = (x, y, z) × x
         return np.eye(3) + 2 * quaternions[..., 3:, None] * cross + 2 * cross @ cross
-    if value.shape[-2:] != (3, 3):
-        value = _floats("rotation", value, (3, 3))  # raises
-    return nearest_rotations("rotation", value)
+    return _floats("rotation", value, (3, 3))  # raises
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
     """Return a copy in float64 of a finite array whose last axes are `trailing`."""
-    return require_floats(name, value, trailing).astype(np.float64, copy=False)
+    array = require_floats(name, value, trailing)
+    return array if array.dtype.char == "d" else array.astype(np.float64)
