@@ -489,6 +489,7 @@ FAULTS = [
     "stuck-sensor-3",
     "encoder-64",
     "dropped-numbers-0.1",
+    "held-numbers-0.4",
     "locked-1-at-0.2-until-1",
     "joint-damping-0.3",
     "repeated-observations-0.9",
@@ -506,6 +507,12 @@ def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault)
     builds = mmc_body, lambda interface, _: dynamic_mmc(interface)
     adapts, fixed = (success(episodes(build, 50, **options)) for build in builds)
     assert adapts >= max(fixed - 0.02, 0.9)
+
+
+@pytest.mark.slow
+def test_targets_that_are_held_are_not_taken_for_noise():
+    options = {"control": "joint_delta", "engine": "analytic", "perturbations": "held-numbers-0.7"}
+    assert success(episodes(mmc_body, 200, **options)) >= 0.88
 
 
 @cache

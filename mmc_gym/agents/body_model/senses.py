@@ -26,6 +26,8 @@ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
     ẑ′ ← ẑ′ + 3/2 (1 − θ)² (1 + θ) e,     ½ẑ″ ← ½ẑ″ + ½ (1 − θ)³ e        time in control steps
 
 Noise requires a long memory, and jerk J a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
+Noise is never the same twice: a target that is seen exactly where it was shows none, nor does it
+move.
 
 **Delay.**  It is the time from the first command that should be felt to the first movement.  An old
 posture is run forward through the commands sent since (Miall et al. 1993).  Hand and target may be
@@ -418,6 +420,8 @@ class TargetTrack(NamedTuple):
         jumps = self._jumps(error, stray)
         is_settled = (age >= SETTLED) & ~jumps
         noise = np.where(is_settled, self._noise_after(target), self.noise)
+        moves = np.abs(np.diff(self.history, axis=-1, append=target[:, None])) > SAME
+        noise[~moves[:, -1]] = 0.0
 
         # The mean of a target at rest.  Its gain is at least that of a plain mean; otherwise
         # noise that seemed small at first would keep it small for long.
@@ -446,7 +450,7 @@ class TargetTrack(NamedTuple):
             age=age,
             seen=seen,
             has_jumped=jumps,
-            is_moving=(moving < 0.5 * resting) & (age > SETTLED),
+            is_moving=(moving < 0.5 * resting) & (age > SETTLED) & moves.all(axis=-1),
         )
         if any_true(jumps):
             fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
