@@ -184,8 +184,8 @@ class Solver:
     Attributes:
         package: on PyPI, whose version is printed.
         label: its name, if that is not the package's.
-        at_most: problems of a table, because it is slow.
-        is_bounded: whether it keeps to a time.
+        at_most: largest number of problems that it solves for a table; fewer if it is slow.
+        is_bounded: whether it stops when its time is over.
         positions: whether it can leave the rotation open.
         elbows: whether it takes a second point.
         holds: whether it can hold a joint without being made anew.

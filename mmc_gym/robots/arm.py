@@ -94,7 +94,7 @@ def nearest_rotations(name: str, value: Floats) -> Floats:
 
 
 def require_poses(name: str, value: ArrayLike) -> Floats:
-    """Return poses (..., 4, 4); raise a `UserError` for what is none."""
+    """Return poses (..., 4, 4) with exact rotations; raise a `UserError` if one is no pose."""
     poses = require_floats(name, value, (4, 4)).astype(np.float64, copy=False)
     accepted = "a pose: a rotation, a position and the row 0, 0, 0, 1"
     are_poses = all(row == _LAST_ROW for row in poses[..., 3, :].reshape(-1, 4).tolist())

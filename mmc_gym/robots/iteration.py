@@ -199,7 +199,7 @@ def _begin(this):
 
 @shared
 def _see(this, course, pace):
-    """Find where a posture is, and what is missing."""
+    """Find where a posture's nodes and axes are, and how far it is from its task."""
     _place(this, course)
     _compare(this, course, pace)
 

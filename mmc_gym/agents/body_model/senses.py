@@ -159,7 +159,7 @@ class Senses(NamedTuple):
         return Seen(angles, as_vectors(target), speeds, as_vectors(hand))
 
     def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
-        """Return which hands are hidden: these repeat their last sight, though the joints turn."""
+        """Return which hands are hidden, (n,): seen where they were, although the joints turn."""
         is_hidden = np.abs(hand - self.hand) < SAME_PLACE
         if any_true(is_hidden):
             turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
