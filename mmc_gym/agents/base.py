@@ -20,6 +20,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, warn_of_mismatch
 from mmc_gym._errors import all_true as all_true
+from mmc_gym._errors import any_true as any_true
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import (
     CannotActError,
@@ -247,13 +248,6 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
         return type(yes)(*(_where(condition, *pair) for pair in zip(yes, no, strict=True)))
     trailing = (1,) * (np.ndim(yes) - np.ndim(condition))
     return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
-
-
-def any_true(values: NDArray[Any]) -> bool:
-    """Return whether any value is not 0; of few values three to ten times as fast as `any`."""
-    if values.dtype.char == "?":
-        return 1 in values.tobytes()
-    return bool(np.count_nonzero(values))
 
 
 _OF_STEPS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"}

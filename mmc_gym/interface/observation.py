@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmc_gym._errors import all_true, require, require_floats
+from mmc_gym._errors import all_true, any_true, require, require_floats
 from mmc_gym.geometry import Floats
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
@@ -196,7 +196,7 @@ class ObservationLayout:
         is_clipped = np.abs(offset) == self.limits[-3]
         if not all_true(offset):
             is_clipped |= (offset == 0) & (parts.bounded != 0)
-        if not np.count_nonzero(is_clipped):
+        if not any_true(is_clipped):
             return offset
         share = np.linalg.norm(parts.bounded, axis=-1, keepdims=True)
         size = OFFSET_SCALE / np.maximum(1 - share, 1e-4)
@@ -212,7 +212,7 @@ class ObservationLayout:
             return None
         is_zero = (parts.cosines == 0) | (parts.sines == 0), parts.speeds == 0, parts.target == 0
         lost = np.concatenate([*is_zero[:2], is_zero[2].any(axis=-1, keepdims=True)], axis=-1)
-        if not np.count_nonzero(lost):
+        if not any_true(lost):
             return None
         size = parts.cosines * parts.cosines + parts.sines * parts.sines
         lost[..., : self.joint_count] &= np.abs(size - 1) > INCONSISTENT

@@ -567,5 +567,4 @@ def _rotations(rotation: Any) -> Floats:
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
     """Return a copy in float64 of a finite array whose last axes are `trailing`."""
-    array = require_floats(name, value, trailing)
-    return array if array.dtype.char == "d" else array.astype(np.float64)
+    return require_floats(name, value, trailing).astype(np.float64, copy=False)

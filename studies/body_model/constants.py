@@ -12,7 +12,7 @@ import inspect
 import pkgutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -89,14 +89,14 @@ def constants_of(module: ModuleType) -> list[Constant]:
     ]
 
 
-def results(constant: Constant | None, factor: float, arguments: Arguments) -> np.ndarray:
-    """Return successes with a multiple of a constant, per cent, (scenarios, episodes)."""
-    if constant is not None:
-        with constant.times(factor):
-            return results(None, 1.0, arguments)
+def results(
+    arguments: Arguments, constant: Constant | None = None, factor: float = 1.0
+) -> np.ndarray:
+    """Return successes, with a multiple of a constant if given, per cent, (scenarios, episodes)."""
     scenarios = map(parse_scenario, arguments.scenarios)
     played = (play(body_model(), each, arguments.episodes, arguments.seed) for each in scenarios)
-    return np.array([100 * successes(episodes)[0] for episodes in played])
+    with constant.times(factor) if constant else nullcontext():
+        return np.array([100 * successes(episodes)[0] for episodes in played])
 
 
 def row_of(
@@ -124,9 +124,9 @@ def main(arguments: Arguments) -> None:
         if constant.name in arguments.only or not arguments.only
     ]
     with ProcessPoolExecutor(arguments.processes) as pool:
-        plain = pool.submit(results, None, 1.0, arguments)
+        plain = pool.submit(results, arguments)
         jobs = [
-            [pool.submit(results, constant, factor, arguments) for factor in FACTORS]
+            [pool.submit(results, arguments, constant, factor) for factor in FACTORS]
             for constant in constants
         ]
         rows = [

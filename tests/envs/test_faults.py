@@ -67,17 +67,22 @@ def test_effects_on_actions_follow_each_other_in_the_documented_order():
     np.testing.assert_allclose(sent_by(*WHAT_MOTORS_DO), everything, atol=1e-15)
 
 
-def test_actions_are_clipped_after_all_effects():
-    for first, second in (
-        ("motor-gain-2", "motor-offset--0.5"),
-        ("motor-offset-0.5", "backlash-0.3"),
-    ):
-        effects = {**WHAT_MOTORS_DO, "motor-gain-2": lambda past, _: 2 * past[-1]}
-        effects |= {
-            f"motor-offset-{by}": lambda past, _, by=by: past[-1] + by for by in (-0.5, 0.5)
-        }
-        sent = sent_by(first, second)
-        np.testing.assert_allclose(sent, expected_of(effects[first], effects[second]), atol=1e-15)
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {
+            "motor-gain-2": lambda past, _: 2 * past[-1],
+            "motor-offset--0.5": lambda past, _: past[-1] - 0.5,
+        },
+        {
+            "motor-offset-0.5": lambda past, _: past[-1] + 0.5,
+            "backlash-0.3": WHAT_MOTORS_DO["backlash-0.3"],
+        },
+    ],
+    ids="+".join,
+)
+def test_actions_are_clipped_after_all_effects(effects):
+    np.testing.assert_allclose(sent_by(*effects), expected_of(*effects.values()), atol=1e-15)
 
 
 def test_an_action_that_is_dropped_and_held_is_held():

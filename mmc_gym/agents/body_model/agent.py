@@ -176,8 +176,6 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with stuck sensors corrected."""
         stuck = state.stuck.feel(seen)
-        if not (any_true(stuck.still) or any_true(state.stuck.still)):
-            return state._replace(stuck=stuck), seen
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
             senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model
@@ -192,7 +190,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
-        """Let movements begin with what was learned in those before."""
+        """Return the state with new movements begun from what was learned in earlier ones."""
         between = state.looks == BETWEEN
         if any_true(between):
             fresh = self.start(seen)._replace(memory=state.memory, waits=state.waits)

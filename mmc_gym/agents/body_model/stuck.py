@@ -73,9 +73,11 @@ class Stuck(NamedTuple):
 
         A joint stands still, or did so before, while the hand moves; or a sensor was stuck.
         """
-        stands = np.any((self.still > 0) | (before.still > 0), axis=-1)
+        stands: Bools = (self.still > 0) | (before.still > 0)
+        if not any_true(stands):  # as mostly while arms move; then no sensor was stuck, either
+            return stands[:, 0]
         moves = np.any(np.abs(self.move) > STANDS, axis=-1)
-        doubted: Bools = (stands & moves) | np.any(before.is_stuck, axis=-1)
+        doubted: Bools = (stands.any(axis=-1) & moves) | np.any(before.is_stuck, axis=-1)
         return doubted
 
     def compare(self, model: HandModel, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
