@@ -158,7 +158,7 @@ def test_a_model_that_observed_what_there_is_needs_no_statistics(
     kind, steps, normalizes_rewards, tmp_path, env
 ):
     envs = VecNormalize(vec_env(), norm_obs=False) if normalizes_rewards else vec_env()
-    model = kind("MlpPolicy", envs, device="cpu", **(TINY if kind is PPO else OFF_POLICY))
+    model = kind("MlpPolicy", envs, device="cpu", **(TINY if kind is PPO else deepcopy(OFF_POLICY)))
     model = model.learn(steps) if steps else model
     model.save(tmp_path / "model")
     assert_acts_as(model, load(tmp_path / "model.zip", env), env)
@@ -236,7 +236,9 @@ def test_a_model_is_found_by_the_name_it_was_saved_by(name, tmp_path, monkeypatc
 def test_other_observations_or_actions_than_in_training_are_refused_and_another_arm_is_not(env):
     behind = trained()
     behind.get_env().envs[0] = wrappers.RescaleAction(behind.get_env().envs[0], *TWICE)
-    goals = SAC("MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **OFF_POLICY)
+    goals = SAC(
+        "MultiInputPolicy", gym.make("MMCReachGoal-v0"), device="cpu", **deepcopy(OFF_POLICY)
+    )
     for model, message in (
         (behind, "env must be wrapped in RescaleAction, as in the tr"),
         (goals, "let it play in MMCReachGoal-v0"),
@@ -370,7 +372,9 @@ def test_a_file_that_lacks_its_statistics_is_refused_or_warned_of(tmp_path, env)
     """Those of off-policy algorithms do not say whether they need them."""
 
     def save(envs):
-        SAC("MlpPolicy", envs, device="cpu", **OFF_POLICY).learn(12).save(tmp_path / "mine")
+        SAC("MlpPolicy", envs, device="cpu", **deepcopy(OFF_POLICY)).learn(12).save(
+            tmp_path / "mine"
+        )
 
     save(VecNormalize(vec_env()))
     with pytest.raises(UserError, match="must have the statistics of the VecNormalize"):
