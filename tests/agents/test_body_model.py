@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
 
 from mmc_gym.agents.body_model import obstacles
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
@@ -18,6 +19,7 @@ from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
+from mmc_gym.agents.body_model.regulator import POSTURE, SMOOTH, Regulator
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.envs.perturbations import VisionDelay, VisuomotorRotation
@@ -354,10 +356,10 @@ def test_a_load_that_gathers_speed_is_no_contact():
 def test_the_drive_inverts_the_servo():
     now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
     quiet, given_motors = np.zeros((1, 1)), Motors.start(1, 3)
-    targets, _ = Drive.start(1, 3).invert_servos(
-        now, turn, 10 * turn, quiet, INTERFACE, given_motors, before=turn
+    lead = Drive.start(1, 3).invert_servos(
+        turn, 10 * turn, quiet, INTERFACE, given_motors, before=turn
     )
-    np.testing.assert_allclose(commanded_turn(INTERFACE, now, targets), turn, rtol=1e-6)
+    np.testing.assert_allclose(commanded_turn(INTERFACE, now, now + lead), turn, rtol=1e-6)
 
 
 def turns_of(motor, steps=30, noise=0.0):
@@ -395,6 +397,77 @@ def test_a_motor_that_is_not_as_given_is_learned_and_inverted(motor):
 def test_a_given_or_locked_motor_is_not_learned(motor, noise):
     if any(motor) or not noise:  # a locked joint does not turn by chance
         assert not any(motors.is_learned.any() for motors in turns_of(motor, 60, noise))
+
+
+PLANT = np.array(
+    [
+        [0.1, 0.5, 0.1, 0.3, -0.1, 0.6, 0.2],
+        [-0.2, 0.0, 0.4, 0.1, 0.2, -0.1, -0.5],
+        [0.05, 0.4, 0.0, 0.1, 0.0, 0.5, 0.1],
+        [-0.1, 0.1, 0.3, 0.0, 0.1, 0.0, -0.4],
+    ]
+)  # v′ and t of two joints, from 1, v, u₋ and u: the second is reversed, and both are pushed
+
+
+def learned_regulator(size=0.5):
+    """Return the regulator of `PLANT` after random commands up to a size, and the last speeds."""
+    random, regulator, speeds = np.random.default_rng(4), Regulator.start(1, 2), np.zeros((1, 2))
+    for _ in range(60):
+        commands = random.uniform(-size, size, (1, 2))
+        x = np.concatenate([np.ones((1, 1)), speeds, regulator.last, commands], axis=-1)
+        after, turn = np.split(x @ PLANT.T, 2, axis=-1)
+        regulator = regulator.observe(speeds, commands, after, turn, np.array([[True]]))
+        speeds = after
+    return regulator, speeds
+
+
+def test_the_regulator_brings_joints_that_are_pushed_and_reversed_to_their_goals():
+    regulator, speeds = learned_regulator()
+    left, still, yes = np.array([[0.3, -0.2]]), np.zeros((1, 2)), np.array([[True]])
+    for _ in range(80):
+        commands, regulator = regulator.command(left, speeds, still, np.eye(2)[None], None)
+        x = np.concatenate([np.ones((1, 1)), speeds, regulator.last, commands], axis=-1)
+        after, turn = np.split(x @ PLANT.T, 2, axis=-1)
+        regulator = regulator.observe(speeds, commands, after, turn, yes)
+        left, speeds = left - turn, after
+    np.testing.assert_allclose(left, 0, atol=0.02)  # 0.14 if pushes were not reckoned with
+
+
+def test_the_regulator_solves_the_equation_of_riccati():
+    regulator, speeds = learned_regulator(100.0)
+    still, jacobian = np.zeros((1, 2)), np.array([[[0.5, 1.0], [0.2, -0.3]]])
+    for _ in range(400):
+        _, regulator = regulator.command(still, speeds, still, jacobian, None)
+    forward, effect = np.zeros((6, 6)), np.zeros((6, 2))
+    forward[:2, :2], forward[:2, 2:], forward[2:4, 2:] = np.eye(2), -PLANT[2:, 1:5], PLANT[:2, 1:5]
+    effect[:2], effect[2:4], effect[4:] = -PLANT[2:, 5:], PLANT[:2, 5:], np.eye(2)
+    cost, change = np.zeros((6, 6)), np.zeros((6, 2))
+    cost[:2, :2] = jacobian[0] @ jacobian[0].T + POSTURE * np.eye(2)
+    cost[4:, 4:], change[4:] = SMOOTH * np.eye(2), -SMOOTH * np.eye(2)
+    value = np.delete(np.delete(regulator.value[0], 2, axis=0), 2, axis=1)  # not of the 1 in z
+    exact = solve_discrete_are(forward, effect, cost, SMOOTH * np.eye(2), s=change)
+    np.testing.assert_allclose(value, exact, rtol=1e-3, atol=1e-3)
+
+
+def test_the_regulator_hardly_corrects_what_does_not_move_the_hand():
+    regulator, still = Regulator.start(1, 2), np.zeros((1, 2))
+    jacobian = np.array([[[1.0, 0.0], [-1.0, 0.0]]])  # both joints turned alike: the hand rests
+    for _ in range(30):
+        _, regulator = regulator.command(still, still, still, jacobian, None)
+    alike, against = (
+        np.abs(regulator.command(np.array([left]), still, still, jacobian, None)[0]).max()
+        for left in ([0.1, 0.1], [0.1, -0.1])
+    )
+    assert alike < 0.5 * against
+
+
+def test_the_regulator_does_not_count_on_held_joints():
+    regulator, speeds = learned_regulator()
+    left, still = np.array([[0.0, 0.2]]), np.zeros((1, 2))
+    held = np.array([[True, False]])
+    commands, _ = regulator.command(left, speeds, still, np.ones((1, 2, 2)), held)
+    assert commands[0, 0] == regulator.last[0, 0]  # nothing new
+    assert commands[0, 1] < 0  # the motor is reversed
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
@@ -480,7 +553,10 @@ FAULTS = [
     "servo-gain-0.5",
     "servo-gain-0.3",
     "dead-zone-0.1",
+    "dead-zone-0.3",
     "backlash-0.1",
+    "backlash-0.3",
+    "action-noise-0.1",
     "dropped-actions-0.3",
     "held-actions-0.3",
     "repeated-actions-0.3",
@@ -526,13 +602,13 @@ def actions_of(parts, perturbations, control):
 @pytest.mark.parametrize(
     ("part", "others", "tolerance"),
     [
-        # Filters take for noise what the model of the servos leaves out.
-        ("filters", ("delay-200", "rotation-30"), 0.1),
+        # Filters take for noise what the model of servos leaves out, and then nothing regulates.
+        ("filters", ("delay-200", "rotation-30"), 0.01),
         ("bridges_delay", ("rotation-30", "locks-2"), 0.0),
         ("identifies_body", ("delay-200", "locks-2"), 0.0),
         ("follows_changes", ("delay-200", "rotation-30"), 0.0),
-        # Where torque is at its limit, a motor may seem to be another one.
-        ("finds_motors", ("delay-200", "rotation-30"), 0.2),
+        # The last degrees are regulated by what is known of the motors.
+        ("finds_motors", ("delay-200", "rotation-30"), 0.02),
         ("finds_locks", ("delay-200", "rotation-30"), 0.0),
         ("avoids", ("rotation-30", "longer-20"), 0.0),
     ],
@@ -543,7 +619,7 @@ def test_a_part_that_is_off_changes_nothing_where_it_has_nothing_to_do(
     for perturbations in ((), others):
         actions = actions_of(ALL_PARTS, perturbations, control)
         without = actions_of(Parts(**{part: False}), perturbations, control)
-        assert np.abs(actions - without).max() <= tolerance, perturbations
+        assert np.abs(actions - without).mean() <= tolerance, perturbations
 
 
 @pytest.mark.parametrize("vigour", [1.0, pytest.param(0.0, marks=pytest.mark.slow)])

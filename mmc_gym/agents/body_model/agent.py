@@ -8,6 +8,7 @@
 - `obstacles`: remembered once they are felt, and routes round them;
 - `drive`: joint targets on the way there;
 - `motors`: what commands really do to joints, and which command turns them as they should;
+- `regulator`: the best commands near the target;
 - `stuck`: joint sensors that the hand contradicts;
 - `memory`: what is learned from movement to movement, if anything.
 
@@ -34,9 +35,12 @@ from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Response,
     as_points,
+    as_vectors,
     command_of,
     full_turn,
     hand,
+    to_hand,
+    turn_share,
 )
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
@@ -50,7 +54,13 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
+from mmc_gym.agents.body_model.regulator import (
+    EXACT,
+    LEAST_ACCELERATION,
+    NEAR,
+    Regulator,
+)
+from mmc_gym.agents.body_model.senses import CLEAR, LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
@@ -75,6 +85,7 @@ class BodyState(NamedTuple):
     contacts: Contacts
     route: Route
     motors: Motors
+    regulator: Regulator
     stuck: Stuck
     drive: Drive
     memory: Memory
@@ -122,6 +133,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             route=Route.start(joint_angles, as_points(sensed.target)),
             motors=Motors.start(arms, joints),
+            regulator=Regulator.start(arms, joints),
             stuck=Stuck.start(sensed),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
@@ -230,9 +242,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """
         motors, drive = state.motors, state.drive
         senses, step = state.senses.update(seen, self.interface, self.parts, motors)
-        response, locks = state.response, state.locks
+        response, locks, regulator = state.response, state.locks, state.regulator
         if self.finds_motors:
             motors, drive = self._identify_motors(motors, drive, step)
+            regulator = self._learn_commands(regulator, step)
         if self.has_own_act:
             delay = senses.delay
             before = state.senses.posture.speeds
@@ -264,6 +277,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             motors=motors,
             drive=drive,
             response=response,
+            regulator=regulator,
         )
 
     def _turn_freely(self, joint_angles: Floats) -> Bools:
@@ -289,6 +303,18 @@ class BodyAgent(FeedbackAgent[BodyState]):
             strength = np.where(begins, STRONGEST, drive.acceleration)
             drive = drive._replace(acceleration=strength)
         return after, drive
+
+    def _learn_commands(self, regulator: Regulator, step: LastStep) -> Regulator:
+        """Return the regulator after a control step, if the arm was felt to move in it."""
+        unit, limit, is_felt = full_turn(self.interface), self.interface.speed_limit, step.is_felt
+        after = regulator.observe(
+            before=step.before.speeds / limit,
+            commanded=step.as_given / unit,
+            after=step.after.speeds / limit,
+            turn=step.after.turn / unit,
+            is_clear=step.after.deviation < CLEAR,
+        )
+        return after if all_true(is_felt) else where(is_felt, after, regulator)
 
     def _identify_body(self, state: BodyState) -> BodyState:
         if not self.parts.identifies_body:
@@ -360,9 +386,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         interface, now = self.interface, problem.joint_angles
         left = interface.turn(now, state.route.next)
         if self.parts.drives and not interface.has_drive:
-            joint_targets, drive, memory = self._invert_servos(state, problem, left, before)
+            state = self._invert_servos(state, problem, left, before)
+            joint_targets = now + state.drive.lead
         else:
-            joint_targets, drive, memory = now + left, state.drive, state.memory
+            joint_targets = now + left
         if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
             push = 0.0 if interface.has_drive else PUSH
@@ -370,25 +397,48 @@ class BodyAgent(FeedbackAgent[BodyState]):
             joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
         senses = state.senses.record(command, interface, state.motors)
-        return joint_targets, state._replace(senses=senses, drive=drive, memory=memory)
+        return joint_targets, state._replace(senses=senses)
 
     def _invert_servos(
         self, state: BodyState, problem: ReachProblem, left: Floats, before: Floats
-    ) -> tuple[Floats, Drive, Memory]:
-        """Return the joint targets that make the servos turn the joints as they should."""
+    ) -> BodyState:
+        """Return the state after targets make the servos turn the joints as they should."""
         memory, noise = state.memory, state.senses.posture.deviation
         turn, drive = self._turn(state, problem, left)
         if self.learns:
             is_early = 2 * drive.elapsed <= drive.duration
             turn, memory = memory.record_drift(problem, is_early).correct_drift(turn, problem)
-        now = problem.joint_angles
         late = state.senses.delay.late[:, None]
         if any_true(late):  # the last turn is too uncertain: as if joints turned so already
             before = np.where(late > 0, turn, before)
-        joint_targets, drive = drive.invert_servos(
-            now, turn, left, noise, self.interface, state.motors, before
-        )
-        return joint_targets, drive, memory
+        lead = drive.invert_servos(turn, left, noise, self.interface, state.motors, before)
+        regulator = state.regulator
+        if self.finds_motors and any_true(acts := self._is_near(state, left)):
+            best, after = self._regulate(state, problem, left)
+            lead = np.where(acts[:, None], best, lead)
+            regulator = after if all_true(acts) else where(acts, after, regulator)
+        drive = drive.send(lead, self.interface)
+        return state._replace(drive=drive, memory=memory, regulator=regulator)
+
+    def _is_near(self, state: BodyState, left: Floats) -> Bools:
+        """Return which arms are near their goals, and seen in time, exactly and rightly, (n,)."""
+        senses, acceleration = state.senses, state.drive.acceleration
+        reach = NEAR * self.interface.control_step**2 * acceleration
+        is_near = (np.abs(left) < reach) & (acceleration > LEAST_ACCELERATION)
+        acts: Bools = is_near.all(axis=-1) & (senses.delay.late == 0)
+        acts &= senses.posture.deviation[:, 0] < EXACT
+        return acts & ~state.stuck.contradicts
+
+    def _regulate(
+        self, state: BodyState, problem: ReachProblem, left: Floats
+    ) -> tuple[Floats, Regulator]:
+        """Return how far ahead the best targets near the goals are, and the regulator."""
+        unit, goal_turn = full_turn(self.interface), state.route.goal_turn
+        speeds = state.senses.posture.speeds / self.interface.speed_limit
+        jacobian = as_vectors(1j * to_hand(problem.joint_angles, problem.lengths))
+        angles = ((left - goal_turn) / unit, speeds, goal_turn / unit)
+        turn, regulator = state.regulator.command(*angles, jacobian, problem.held)
+        return turn * (unit / turn_share(self.interface)), regulator
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""

@@ -141,15 +141,14 @@ class Drive(NamedTuple):
 
     def invert_servos(
         self,
-        posture: Floats,
         turn: Floats,
         left: Floats,
         noise: Floats,
         interface: ReachInterface,
         motors: Motors,
         before: Floats,
-    ) -> tuple[Floats, Drive]:
-        """Return joint targets that turn joints by `turn`, and the drive.
+    ) -> Floats:
+        """Return how far ahead of the joints targets turn them by `turn`.
 
         Where the angle left may be mere noise (of this standard deviation, (n, 1)), the target is
         the goal itself, because a servo that undoes noise in a control step follows the noise.
@@ -166,9 +165,13 @@ class Drive(NamedTuple):
             if any_true(noise):
                 turn = np.where(noise > 0, part * left + trust * (turn - part * left), turn)
             lead = np.where(motors.is_learned, motors.inverse(turn, before, unit) / part, lead)
+        return lead
+
+    def send(self, lead: Floats, interface: ReachInterface) -> Drive:
+        """Return the drive after targets were sent that are so far ahead, as far as allowed."""
         is_limited = interface.control != "joint_position"  # the action is a lead, at most this one
-        lead = bounded(lead, interface.max_joint_delta if is_limited else LARGEST_LEAD)
-        return posture + lead, self._replace(lead=lead)
+        most = interface.max_joint_delta if is_limited else LARGEST_LEAD
+        return self._replace(lead=bounded(lead, most))
 
 
 def in_proportion(turn: Floats, way: Floats) -> Floats:

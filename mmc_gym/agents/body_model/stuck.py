@@ -80,6 +80,12 @@ class Stuck(NamedTuple):
         doubted: Bools = (stands.any(axis=-1) & moves) | np.any(before.is_stuck, axis=-1)
         return doubted
 
+    @property
+    def contradicts(self) -> Bools:
+        """Which hands have lately moved otherwise than joints were felt to turn, (n,)."""
+        contradicts: Bools = self.error[:, 0] > EXACT
+        return contradicts | np.any(self.is_stuck, axis=-1)
+
     def compare(self, model: HandModel, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
         """Return it after the hand's movement is compared with that of the joints.
 

@@ -1,0 +1,141 @@
+"""Regulator: the best commands near the target, by what commands have lately done.
+
+**Estimate.**  With the speeds v of the joints before a control step (as turns in a control step),
+the turns u that a command asks of them by the model of `commanded_turn`, and those of the command
+before, u₋, joints turn by t, and then have the speeds v′:
+
+    x = (1, v, u₋, u),     v′ = A x,     t = T x
+
+Strength, lag, pushes, loads, and joints that move each other are all in A and T.  They follow by
+recursive least squares that forget.  All joints have the same regressors x, so one matrix of sums
+serves all,
+
+    S = Σ λ^k x xᵀ,     R = Σ λ^k x (v′ − A₀ x, t − T₀ x)ᵀ
+    (A, T)ᵀ = (A₀, T₀)ᵀ + (S + Λ)⁻¹ R
+
+where A₀ and T₀ are of the given servo.  What is learned far from the target, where torque is at its
+limit, is forgotten near it.
+
+**Command.**  Let joints have the angles d left to their goals, and J be the Jacobian of the hand.
+With z = (d, 1, v, u₋) and z′ = F z + B u the linear-quadratic regulator minimises the sum of
+
+    |J d|² + ε |d|² + ρ |u − u₋|²
+
+over all control steps to come.  So what does not move the hand is hardly corrected (Todorov &
+Jordan 2002).  Changes of commands cost, not commands, so that a push leaves no error.  The matrix P
+of what is to come follows by one step of Riccati's equation in a control step, with Q and C the
+quadratic forms above in z, and in z and u:
+
+    K = (ρ + BᵀP B)⁻¹ (BᵀP F + C),     P ← Q + FᵀP F − (BᵀP F + C)ᵀ K
+    u = −K z
+
+Literature: Todorov & Jordan (2002), Nat. Neurosci. 5, 1226–1235.  Anderson & Moore (1990), Optimal
+control: linear quadratic methods.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.geometry import Floats
+
+# What the given servo makes of v and of u, as shares in v′ and in t: A₀ and T₀.
+GIVEN_OF_SPEED, GIVEN_OF_COMMAND = (0.19, 0.3), (0.77, 0.65)
+RIDGE = 0.1  # Λ, in full turns squared
+KEEP = 0.95  # λ: share of the sums that is left after a control step
+SMOOTH = 0.5  # ρ, segment lengths²
+POSTURE = 0.1  # ε, segment lengths²
+NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its speed
+# Joints with less bear a load, and torque is at its limit near the target, too, rad/s².
+LEAST_ACCELERATION = 8.0
+EXACT = 0.002  # noise of the joint angles from which on they are not seen exactly, radians
+
+
+class Regulator(NamedTuple):
+    """What n arms with N joints know of their commands, in turns at full speed."""
+
+    squares: Floats  # S, (n, 3 N + 1, 3 N + 1)
+    products: Floats  # R, (n, 3 N + 1, 2 N)
+    last: Floats  # u₋, (n, N)
+    value: Floats  # P, (n, 3 N + 1, 3 N + 1)
+
+    @classmethod
+    def start(cls, arms: int, joints: int) -> Regulator:
+        """Return what is known before a movement."""
+        size = 3 * joints + 1
+        products, last = np.zeros((arms, size, 2 * joints)), np.zeros((arms, joints))
+        return cls(
+            np.zeros((arms, size, size)), products, last, np.tile(np.eye(size), (arms, 1, 1))
+        )
+
+    def observe(
+        self, before: Floats, commanded: Floats, after: Floats, turn: Floats, is_clear: Bools
+    ) -> Regulator:
+        """Return it after a control step, all in full turns, (n, N).
+
+        Joints had the speeds `before` and `after` it, and turned by `turn`.  Only what `is_clear`,
+        (n, 1), counts.
+        """
+        x = np.concatenate([np.ones_like(before[:, :1]), before, self.last, commanded], axis=-1)
+        # By elements: a product of matrices may round otherwise in another batch.
+        given = [
+            of_speed * before + of_command * commanded
+            for of_speed, of_command in zip(GIVEN_OF_SPEED, GIVEN_OF_COMMAND, strict=True)
+        ]
+        error = np.concatenate([after - given[0], turn - given[1]], axis=-1)
+        counted = (is_clear * x)[..., None]
+        squares = KEEP * self.squares + counted * x[:, None]
+        products = KEEP * self.products + counted * error[:, None]
+        return Regulator(squares, products, commanded, self.value)
+
+    def command(
+        self, left: Floats, speeds: Floats, goal_turn: Floats, jacobian: Floats, held: Bools | None
+    ) -> tuple[Floats, Regulator]:
+        """Return the turns to be asked for, (n, N), and the regulator after Riccati's step.
+
+        Joints with these speeds are `left` away from goals that turn by `goal_turn`, all in full
+        turns.  Row i of the Jacobian, (n, N, 2), is for joint i.  `held` joints do not turn.
+        """
+        arms, joints = left.shape
+        size = 3 * joints + 1
+        eye, ridge = np.eye(joints), RIDGE * np.eye(size)
+        fit = _given(joints) + np.linalg.solve(self.squares + ridge, self.products)
+        if held is not None:
+            fit = np.where(np.tile(held, 2)[:, None], 0.0, fit)
+        # z′ = F z + B u for z = (d, 1, v, u₋), where turns and speeds are relative to the goals'.
+        d, v, last = slice(joints), slice(joints + 1, 2 * joints + 1), slice(2 * joints + 1, size)
+        model = np.zeros((arms, size, size + joints))
+        model[:, d, d] = eye
+        model[:, d, joints:] = -np.swapaxes(fit[..., joints:], -1, -2)
+        model[:, joints, joints] = 1.0
+        model[:, v, joints:] = np.swapaxes(fit[..., :joints], -1, -2)
+        model[:, last, size:] = eye
+        model[..., joints] += (model[..., v] @ goal_turn[..., None])[..., 0]
+        model[:, d, joints] += goal_turn
+        model[:, v, joints] -= goal_turn
+        if held is not None:
+            model[..., size:] *= ~held[:, None]
+        forward, effect = model[..., :size], model[..., size:]
+
+        ahead = np.swapaxes(effect, -1, -2) @ self.value
+        response = ahead @ forward
+        response[..., last] -= SMOOTH * eye
+        gain = np.linalg.solve(ahead @ effect + SMOOTH * eye, response)
+        value = np.swapaxes(forward, -1, -2) @ self.value @ forward
+        value -= np.swapaxes(response, -1, -2) @ gain
+        value[:, d, d] += jacobian @ np.swapaxes(jacobian, -1, -2) + POSTURE * eye
+        value[:, last, last] += SMOOTH * eye
+        value = (value + np.swapaxes(value, -1, -2)) / 2
+        state = np.concatenate([left, np.ones((arms, 1)), speeds - goal_turn, self.last], axis=-1)
+        return -(gain @ state[..., None])[..., 0], self._replace(value=value)
+
+
+@cache
+def _given(joints: int) -> Floats:
+    """Return (A₀, T₀)ᵀ, (3 N + 1, 2 N)."""
+    given = [np.kron(of, np.eye(joints)) for of in (GIVEN_OF_SPEED, (0, 0), GIVEN_OF_COMMAND)]
+    return np.concatenate([np.zeros((1, 2 * joints)), *given])
