@@ -1,5 +1,6 @@
 """The agent with an internal model of its body: what each part identifies, and what all reach."""
 
+from contextlib import closing
 from functools import cache
 from itertools import pairwise
 
@@ -583,6 +584,19 @@ def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault)
     builds = mmc_body, lambda interface, _: dynamic_mmc(interface)
     adapts, fixed = (success(episodes(build, 50, **options)) for build in builds)
     assert adapts >= max(fixed - 0.02, 0.9)
+
+
+def test_first_observations_that_repeat_are_not_taken_for_a_delay():
+    with closing(gym.make_vec("MMCReach-v0", num_envs=20, engine="analytic")) as env:
+        agent, state = mmc_body(ReachInterface.of(env)), None
+        seen, _ = env.reset(seed=3)
+        for step in range(40):
+            action, state = agent.predict(seen, state)
+            now, _, _, _, info = env.step(action)
+            seen = seen if step < 8 else now
+    assert state.senses.delay.late.mean() < 1
+    assert np.median(state.senses.posture.deviation) < 0.002
+    assert (info["distance"] <= 0.05).mean() >= 0.9
 
 
 @pytest.mark.slow

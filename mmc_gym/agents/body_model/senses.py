@@ -187,12 +187,15 @@ class Senses(NamedTuple):
         else:
             posture = self.posture.accept(joint_angles, speeds)
             target = self.target.accept(place)
+        hidden: Floats = np.zeros(len(hand))
+        if not all_true(delay.is_felt) and parts.bridges_delay:
+            posture, hidden = self._at_onset(seen, posture, interface.control_step)
         if any_true(repeats):
             posture = self._after_repeats(seen, posture, is_again, interface.control_step)
         if not all_true(posture.age > EARLY) or not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
-            delay = delay.estimate(self.posture, posture, moved, is_sharp)
+            delay = delay.estimate(self.posture, posture, moved, is_sharp, hidden)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         if delay is not related:
@@ -226,6 +229,26 @@ class Senses(NamedTuple):
         posture = self.posture
         as_given = commanded_turn(interface, posture.joint_angles, delay.commands_seen())
         return as_given, motors.expected(posture.turn, as_given, full_turn(interface))
+
+    def _at_onset(
+        self, seen: Seen, posture: PostureTrack, control_step: float
+    ) -> tuple[PostureTrack, Floats]:
+        """Return the posture at the onset of movement, and how many steps of it were hidden, (n,).
+
+        An arm at rest looks the same whether it is seen or not.  Joints that are first seen to move
+        after more than one step of their speed were not seen before; that is no noise, nor late.
+        """
+        turned = np.abs(wrap_angle(seen.joint_angles - self.posture.seen))
+        step = control_step * np.abs(seen.joint_speeds)
+        fastest = np.arange(len(step)), step.argmax(axis=-1)
+        hidden = np.floor(turned[fastest] / np.maximum(step[fastest], TURNED))
+        hidden = np.minimum(hidden, np.maximum(self.delay.due - 1, 0))
+        hidden *= ~self.delay.is_felt & (self.posture.noise[:, 0] == 0)
+        if not any_true(hidden):
+            return posture, hidden
+        exact = self.posture.accept(seen.joint_angles, seen.joint_speeds)
+        exact = exact._replace(turn=control_step * seen.joint_speeds)
+        return where(hidden > 0, exact, posture), hidden
 
     def _after_repeats(
         self, seen: Seen, posture: PostureTrack, is_again: Bools, control_step: float
@@ -518,18 +541,24 @@ class Delay(NamedTuple):
         return all_true(self.is_felt & self.is_seen)
 
     def estimate(
-        self, before: PostureTrack, posture: PostureTrack, moved: Floats, is_sharp: Bools
+        self,
+        before: PostureTrack,
+        posture: PostureTrack,
+        moved: Floats,
+        is_sharp: Bools,
+        hidden: Floats | float = 0.0,
     ) -> Delay:
         """Return the estimate after one more observation of the posture and the hand.
 
         Joints are never felt later than a hand is seen, if its sight `is_sharp`, (n,): not noisy.
         Values that repeat exactly show no movement, because even noise would change them.  A hand
         that has `moved`, (n,), by more than any late one at its onset was hidden, not late; so is
-        one that has not been seen to move for longer than the longest delay.
+        one that has not been seen to move for longer than the longest delay.  Steps of the joints'
+        movement that were `hidden`, (n,), count as not late.
         """
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
-        waited = np.clip(self.due - 1, 0, LONGEST_DELAY)
+        waited = np.clip(self.due - 1 - hidden, 0, LONGEST_DELAY)
         late = np.where(self.is_felt, self.late, waited)
         is_hidden = ~self.is_seen & ((self.due > LONGEST_DELAY + 1) | (moved > REVEALED))
         late_sight = np.where(self.is_seen, self.late_sight, np.where(is_hidden, late, waited))
