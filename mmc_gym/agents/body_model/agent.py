@@ -314,7 +314,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
             turn=step.after.turn / unit,
             is_clear=step.after.deviation < CLEAR,
         )
-        return after if all_true(is_felt) else where(is_felt, after, regulator)
+        if all_true(is_felt):
+            return after
+        return where(is_felt, after, regulator._replace(last=after.last))
 
     def _identify_body(self, state: BodyState) -> BodyState:
         if not self.parts.identifies_body:
@@ -421,10 +423,11 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return state._replace(drive=drive, memory=memory, regulator=regulator)
 
     def _is_near(self, state: BodyState, left: Floats) -> Bools:
-        """Return which arms are near their goals, and seen in time, exactly and rightly, (n,)."""
+        """Return which arms are near their goals, and seen without delay, noise or doubt, (n,)."""
         senses, acceleration = state.senses, state.drive.acceleration
         reach = NEAR * self.interface.control_step**2 * acceleration
         is_near = (np.abs(left) < reach) & (acceleration > LEAST_ACCELERATION)
+        is_near |= state.locks.is_locked
         acts: Bools = is_near.all(axis=-1) & (senses.delay.late == 0)
         acts &= senses.posture.deviation[:, 0] < EXACT
         return acts & ~state.stuck.contradicts
@@ -432,13 +435,14 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _regulate(
         self, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, Regulator]:
-        """Return how far ahead the best targets near the goals are, and the regulator."""
+        """Return how far ahead of the joints the regulator's targets are, and the regulator."""
         unit, goal_turn = full_turn(self.interface), state.route.goal_turn
         speeds = state.senses.posture.speeds / self.interface.speed_limit
         jacobian = as_vectors(1j * to_hand(problem.joint_angles, problem.lengths))
         angles = ((left - goal_turn) / unit, speeds, goal_turn / unit)
         turn, regulator = state.regulator.command(*angles, jacobian, problem.held)
-        return turn * (unit / turn_share(self.interface)), regulator
+        lead = turn * (unit / turn_share(self.interface))
+        return lead if problem.held is None else np.where(problem.held, 0.0, lead), regulator
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""

@@ -1,8 +1,8 @@
 """Regulator: the best commands near the target, by what commands have lately done.
 
-**Estimate.**  With the speeds v of the joints before a control step (as turns in a control step),
-the turns u that a command asks of them by the model of `commanded_turn`, and those of the command
-before, u₋, joints turn by t, and then have the speeds v′:
+**Estimate.**  Before a control step joints have the speeds v.  A command asks them to turn by u, as
+by `commanded_turn`; the one before asked for u₋.  They turn by t, and then have the speeds v′.  All
+are in full turns, speeds in full turns in a control step:
 
     x = (1, v, u₋, u),     v′ = A x,     t = T x
 
@@ -13,18 +13,19 @@ serves all,
     S = Σ λ^k x xᵀ,     R = Σ λ^k x (v′ − A₀ x, t − T₀ x)ᵀ
     (A, T)ᵀ = (A₀, T₀)ᵀ + (S + Λ)⁻¹ R
 
-where A₀ and T₀ are of the given servo.  What is learned far from the target, where torque is at its
-limit, is forgotten near it.
+with k the age of a control step, and A₀ and T₀ of the given servo.  What is learned far from the
+target, where torque is at its limit, fades by λ in a control step.
 
 **Command.**  Let joints have the angles d left to their goals, and J be the Jacobian of the hand.
 With z = (d, 1, v, u₋) and z′ = F z + B u the linear-quadratic regulator minimises the sum of
 
     |J d|² + ε |d|² + ρ |u − u₋|²
 
-over all control steps to come.  So what does not move the hand is hardly corrected (Todorov &
-Jordan 2002).  Changes of commands cost, not commands, so that a push leaves no error.  The matrix P
-of what is to come follows by one step of Riccati's equation in a control step, with Q and C the
-quadratic forms above in z, and in z and u:
+over all control steps to come; speeds and turns are relative to those of the goals.  So what does
+not move the hand is hardly corrected (Todorov & Jordan 2002).  Changes of the command cost, not its
+size, so a steady push leaves no steady error.  P, the cost to come as a quadratic form in z, begins
+as the identity, and gets one step of Riccati's equation whenever the regulator commands.  Q and C
+are the parts of the cost in z alone, and between u and z:
 
     K = (ρ + BᵀP B)⁻¹ (BᵀP F + C),     P ← Q + FᵀP F − (BᵀP F + C)ᵀ K
     u = −K z
@@ -50,7 +51,7 @@ KEEP = 0.95  # λ: share of the sums that is left after a control step
 SMOOTH = 0.5  # ρ, segment lengths²
 POSTURE = 0.1  # ε, segment lengths²
 NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its speed
-# Joints with less bear a load, and torque is at its limit near the target, too, rad/s².
+# Least acceleration, rad/s²: with less a joint bears a load, with torque at its limit here, too.
 LEAST_ACCELERATION = 8.0
 EXACT = 0.002  # noise of the joint angles from which on they are not seen exactly, radians
 
@@ -98,7 +99,8 @@ class Regulator(NamedTuple):
         """Return the turns to be asked for, (n, N), and the regulator after Riccati's step.
 
         Joints with these speeds are `left` away from goals that turn by `goal_turn`, all in full
-        turns.  Row i of the Jacobian, (n, N, 2), is for joint i.  `held` joints do not turn.
+        turns.  Row i of the Jacobian, (n, N, 2), is for joint i.  `held` joints do not turn: they
+        get u₋ again.
         """
         arms, joints = left.shape
         size = 3 * joints + 1

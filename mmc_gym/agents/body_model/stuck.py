@@ -82,7 +82,7 @@ class Stuck(NamedTuple):
 
     @property
     def contradicts(self) -> Bools:
-        """Which hands have lately moved otherwise than joints were felt to turn, (n,)."""
+        """Which arms have a stuck sensor, or last moved otherwise than felt, (n,)."""
         contradicts: Bools = self.error[:, 0] > EXACT
         return contradicts | np.any(self.is_stuck, axis=-1)
 
