@@ -25,7 +25,7 @@ except ModuleNotFoundError as error:
 
 
 def _fingerprint(record: Any) -> tuple[str, tuple[str]]:
-    """Return what names of compiled functions call a type of records: a hash of its fields.
+    """Return the part of a compiled function's name that is a record type: a hash of its fields.
 
     numba counts the types of a process.  Two processes give the same number to different types, and
     a third one that loads the code of both from disk runs the one in place of the other.

@@ -439,7 +439,7 @@ def _joints_between(path: Path, base: str, tip: str) -> list[_Passed]:
     require_choice("tip", tip, links)
 
     def climb(link: str, ends: Container[str]) -> tuple[dict[str, Any], str]:
-        """Return the links from one up to one of `ends`, each with the joint above, and the end."""
+        """Return the joint above each link on the way up to the first of `ends`, and that end."""
         passed: dict[str, Any] = {}
         while link not in ends and link in above:
             parent, joint = above[link]

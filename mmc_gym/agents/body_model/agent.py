@@ -281,7 +281,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         )
 
     def _turn_freely(self, joint_angles: Floats) -> Bools:
-        """Return which joints are not at their limits, which stop them, (n, N)."""
+        """Return which joints, (n, N), are too far from their limits to be stopped by them."""
         low, high = np.transpose(self.interface.joint_limits or ((-np.inf, np.inf),))
         is_free: Bools = (joint_angles > low + AT_LIMIT) & (joint_angles < high - AT_LIMIT)
         return is_free

@@ -57,7 +57,7 @@ EXACT = 0.002  # noise of the joint angles from which on they are not seen exact
 
 
 class Regulator(NamedTuple):
-    """What n arms with N joints know of their commands, in turns at full speed."""
+    """Sums over the control steps of n arms with N joints, and the cost to come, in full turns."""
 
     squares: Floats  # S, (n, 3 N + 1, 3 N + 1)
     products: Floats  # R, (n, 3 N + 1, 2 N)

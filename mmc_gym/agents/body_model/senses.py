@@ -235,8 +235,9 @@ class Senses(NamedTuple):
     ) -> tuple[PostureTrack, Floats]:
         """Return the posture at the onset of movement, and how many steps of it were hidden, (n,).
 
-        An arm at rest looks the same whether it is seen or not.  Joints that are first seen to move
-        after more than one step of their speed were not seen before; that is no noise, nor late.
+        At rest, a repeated observation looks like a new one.  If joints are first seen to move, and
+        have turned by more than one step at their speed, earlier steps were hidden: that is neither
+        noise nor delay.
         """
         turned = np.abs(wrap_angle(seen.joint_angles - self.posture.seen))
         step = control_step * np.abs(seen.joint_speeds)
