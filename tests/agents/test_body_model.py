@@ -20,7 +20,7 @@ from mmc_gym.agents.body_model.imagination import within_reach
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.regulator import POSTURE, SMOOTH, Regulator
+from mmc_gym.agents.body_model.regulator import POSTURE, SMOOTH, Regulator, regulates
 from mmc_gym.agents.body_model.senses import Delay, LastStep, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.envs.perturbations import VisionDelay, VisuomotorRotation
@@ -469,6 +469,38 @@ def test_the_regulator_does_not_count_on_held_joints():
     commands, _ = regulator.command(left, speeds, still, np.ones((1, 2, 2)), held)
     assert commands[0, 0] == regulator.last[0, 0]  # nothing new
     assert commands[0, 1] < 0  # the motor is reversed
+
+
+def motors_after(turn_of):
+    """Return the motors of one joint after 40 random commands, each of which turns it as given."""
+    random, motors, turn = np.random.default_rng(5), Motors.start(1, 1), np.zeros((1, 1))
+    for _ in range(40):
+        command, before = random.uniform(-0.5, 0.5, (1, 1)), turn
+        turn = turn_of(random, before, command)
+        motors = motors.observe(before, command, turn, np.ones((1, 1)), np.ones((1, 1), bool))
+    return motors
+
+
+def as_given(_, before, command):
+    return 0.19 * before + 0.77 * command
+
+
+def with_noise(random, before, command):
+    return as_given(random, before, command + random.normal(0.0, 0.3, (1, 1)))
+
+
+def test_the_regulator_leaves_the_given_servo_to_the_drive():
+    near, far, strong, free = np.array([[0.1]]), np.array([[9.0]]), np.ones((1, 1)), [[False]]
+    assert not regulates(near, strong, motors_after(as_given), free)
+    assert regulates(near, strong, motors_after(with_noise), free)
+    assert not regulates(far, strong, motors_after(with_noise), free)
+
+
+def test_noise_of_commands_is_not_taken_for_weak_torque():
+    near, seems_weak, free = np.array([[0.1]]), np.array([[0.01]]), [[False]]
+    assert regulates(near, seems_weak, motors_after(with_noise), free)
+    is_weak = motors_after(lambda _, before, command: 0.9 * before + 0.02 * command + 1e-3)
+    assert not regulates(near, seems_weak, is_weak, free)
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])

@@ -54,12 +54,7 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.regulator import (
-    EXACT,
-    LEAST_ACCELERATION,
-    NEAR,
-    Regulator,
-)
+from mmc_gym.agents.body_model.regulator import EXACT, Regulator, regulates
 from mmc_gym.agents.body_model.senses import CLEAR, LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.agents.mmc import network_of_arm
@@ -290,19 +285,20 @@ class BodyAgent(FeedbackAgent[BodyState]):
         self, motors: Motors, drive: Drive, step: LastStep
     ) -> tuple[Motors, Drive]:
         """Return the motors after a control step, and the drive, anew where other motors act."""
-        unit = full_turn(self.interface)
-        strength = drive.acceleration * self.interface.control_step**2 / unit
-        before, commanded, turn = (
-            step.before.turn / unit,
-            step.as_given / unit,
-            step.after.turn / unit,
-        )
+        unit, strength = full_turn(self.interface), self._strength(drive)
+        before, turn = step.before.turn / unit, step.after.turn / unit
+        commanded = step.as_given / unit
         after = motors.observe(before, commanded, turn, strength, step.is_felt[:, None])
         begins = after.is_learned & ~motors.is_learned
         if any_true(begins):
             strength = np.where(begins, STRONGEST, drive.acceleration)
             drive = drive._replace(acceleration=strength)
         return after, drive
+
+    def _strength(self, drive: Drive) -> Floats:
+        """Return how much joints can change their turn in a control step, full turns, (n, N)."""
+        interface = self.interface
+        return drive.acceleration * interface.control_step**2 / full_turn(interface)
 
     def _learn_commands(self, regulator: Regulator, step: LastStep) -> Regulator:
         """Return the regulator after a control step, if the arm was felt to move in it."""
@@ -415,21 +411,19 @@ class BodyAgent(FeedbackAgent[BodyState]):
             before = np.where(late > 0, turn, before)
         lead = drive.invert_servos(turn, left, noise, self.interface, state.motors, before)
         regulator = state.regulator
-        if self.finds_motors and any_true(acts := self._is_near(state, left)):
+        if self.finds_motors and any_true(acts := self._regulates(state, left)):
             best, after = self._regulate(state, problem, left)
             lead = np.where(acts[:, None], best, lead)
             regulator = after if all_true(acts) else where(acts, after, regulator)
         drive = drive.send(lead, self.interface)
         return state._replace(drive=drive, memory=memory, regulator=regulator)
 
-    def _is_near(self, state: BodyState, left: Floats) -> Bools:
-        """Return which arms are near their goals, and seen without delay, noise or doubt, (n,)."""
-        senses, acceleration = state.senses, state.drive.acceleration
-        reach = NEAR * self.interface.control_step**2 * acceleration
-        is_near = (np.abs(left) < reach) & (acceleration > LEAST_ACCELERATION)
-        is_near |= state.locks.is_locked
-        acts: Bools = is_near.all(axis=-1) & (senses.delay.late == 0)
-        acts &= senses.posture.deviation[:, 0] < EXACT
+    def _regulates(self, state: BodyState, left: Floats) -> Bools:
+        """Return which arms the regulator commands, (n,), seen without delay, noise or doubt."""
+        senses, unit = state.senses, full_turn(self.interface)
+        strength = self._strength(state.drive)
+        acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
+        acts &= (senses.delay.late == 0) & (senses.posture.deviation[:, 0] < EXACT)
         return acts & ~state.stuck.contradicts
 
     def _regulate(

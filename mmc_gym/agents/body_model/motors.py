@@ -32,10 +32,10 @@ GIVEN = np.array([0.19, 0.77, 0.0])  # a₀, g₀ and b of the given servo
 RIDGE = np.diag([0.5, 0.01, 1.0])  # Λ, in full turns squared
 KEEP = 0.95  # λ: share of the sums that is left after a control step
 CHANGE = 0.2  # V: change of a turn from which on torque may be at its limit, full turns
-RATE = 0.2  # rate of the running square errors
+RATE = 0.2  # rate of the running squares
 WORSE = 4.0  # ratio of the given servo's square error to that learned from which on the latter acts
 STAYS = 0.25  # and down to which it still does
-LARGEST = 0.5  # largest square error, full turns squared
+LARGEST = 0.5  # largest square, full turns squared
 SMALL = 2e-4  # square error that is as good as none, full turns squared
 LEAST_STRENGTH = 0.12  # |g| of a motor that is used: a weaker one is locked
 LEAST_CHANGE = 0.1  # change of a turn that a given servo always can, full turns
@@ -47,15 +47,14 @@ class Motors(NamedTuple):
     squares: Floats  # S, (n, N, 3, 3)
     products: Floats  # r, (n, N, 3)
     fit: Floats  # a, g and b, (n, N, 3)
-    errors: Floats  # running square errors of the given servo and of what is learned, (n, N, 2)
+    running: Floats  # squares: errors as given, and as learned; changes of the turn, (n, N, 3)
     is_learned: Bools  # whether what is learned is used, (n, N)
 
     @classmethod
     def start(cls, arms: int, joints: int) -> Motors:
         """Return what is known before a movement."""
         sums = np.zeros((arms, joints, 3))
-        errors = np.zeros((arms, joints, 2))
-        return cls(np.zeros((*sums.shape, 3)), sums, sums + GIVEN, errors, errors[..., 0] > 0)
+        return cls(np.zeros((*sums.shape, 3)), sums, sums + GIVEN, sums, sums[..., 0] > 0)
 
     def observe(
         self, before: Floats, commanded: Floats, turn: Floats, strength: Floats, counts: Bools
@@ -65,30 +64,31 @@ class Motors(NamedTuple):
         Joints turned `before`, and now by `turn`.  `strength` is by how much a given servo changes
         a turn at most, as far as is known.
         """
-        x, both = np.ones((*turn.shape, 3)), np.empty_like(self.errors)
+        x, sizes = np.ones((*turn.shape, 3)), np.empty_like(self.running)
         x[..., 0], x[..., 1] = before, commanded
         given, learned = (x * GIVEN).sum(axis=-1), (x * self.fit).sum(axis=-1)
         most: Floats = np.maximum(strength, LEAST_CHANGE)
         limited = before + bounded(given - before, most)
         weight = counts / (1 + ((learned - before) / CHANGE) ** 2)
         error = turn - given
-        both[..., 0] = np.minimum(np.abs(error), np.abs(turn - limited))
-        both[..., 1] = turn - learned
+        sizes[..., 0] = np.minimum(np.abs(error), np.abs(turn - limited))
+        sizes[..., 1], sizes[..., 2] = turn - learned, turn - before
         weight = weight[..., None]
-        errors = self.errors + RATE * weight * (np.minimum(both * both, LARGEST) - self.errors)
+        squared = np.minimum(sizes * sizes, LARGEST)
+        running = self.running + RATE * weight * (squared - self.running)
         keep, weighted = np.where(counts, KEEP, 1.0)[..., None], weight * x
         squares = keep[..., None] * self.squares + weighted[..., None] * x[..., None, :]
         products = keep * self.products + weighted * error[..., None]
         fit = GIVEN + np.linalg.solve(squares + RIDGE, products[..., None])[..., 0]
         ratio = np.where(self.is_learned, STAYS, WORSE)
-        is_better = errors[..., 0] > ratio * (errors[..., 1] + SMALL)
+        is_better = running[..., 0] > ratio * (running[..., 1] + SMALL)
         is_learned = is_better & (np.abs(fit[..., 1]) > LEAST_STRENGTH)
-        return Motors(squares, products, fit, errors, is_learned)
+        return Motors(squares, products, fit, running, is_learned)
 
     @property
     def differ(self) -> Bools:
         """Which motors are not as given, or bear a load, (n, N)."""
-        differ: Bools = self.errors[..., 0] > SMALL
+        differ: Bools = self.running[..., 0] > SMALL
         return differ
 
     def expected(self, before: Floats, commanded: Floats, unit: float) -> Floats:

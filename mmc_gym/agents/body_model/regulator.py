@@ -42,6 +42,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.geometry import Floats
 
 # What the given servo makes of v and of u, as shares in v′ and in t: A₀ and T₀.
@@ -50,10 +51,26 @@ RIDGE = 0.1  # Λ, in full turns squared
 KEEP = 0.95  # λ: share of the sums that is left after a control step
 SMOOTH = 0.5  # ρ, segment lengths²
 POSTURE = 0.1  # ε, segment lengths²
-NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its speed
-# Least acceleration, rad/s²: with less a joint bears a load, with torque at its limit here, too.
-LEAST_ACCELERATION = 8.0
+NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its turn
+SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
+WEAK = 0.025  # least strength, full turns: a weaker motor is at the limit of its torque here, too
+OTHER = 2e-3  # square error of a motor that clearly is not the given servo, full turns squared
 EXACT = 0.002  # noise of the joint angles from which on they are not seen exactly, radians
+
+
+def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) -> Bools:
+    """Return which arms, (n,), are near their goals with motors unlike the given servo.
+
+    Joints have the angles `left`, and can change their turn in a control step by `strength`, as far
+    as is known, both in full turns, (n, N).  Noise of commands and loose gears look like weak
+    motors, so what joints were seen to do counts, too.
+    """
+    squared_error, _, squared_change = np.moveaxis(motors.running, -1, 0)
+    strength = np.maximum(strength, SHOWN * np.sqrt(squared_change))
+    is_near = (np.abs(left) < NEAR * strength) & (strength > WEAK)
+    is_other = squared_error > OTHER
+    acts: Bools = (is_near | is_locked).all(axis=-1) & is_other.any(axis=-1)
+    return acts
 
 
 class Regulator(NamedTuple):
