@@ -17,7 +17,7 @@ from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.forward_model import Response, command_of, commanded_turn
 from mmc_gym.agents.body_model.imagination import within_reach
-from mmc_gym.agents.body_model.motors import Motors
+from mmc_gym.agents.body_model.motors import GIVEN, Motors
 from mmc_gym.agents.body_model.obstacles import NOWHERE, RADIUS, Contacts
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.regulator import POSTURE, SMOOTH, Regulator, regulates
@@ -472,7 +472,7 @@ def test_the_regulator_does_not_count_on_held_joints():
 
 
 def motors_after(turn_of):
-    """Return the motors of one joint after 40 random commands, each of which turns it as given."""
+    """Return the motors of one joint after 40 random commands that turn it by `turn_of`."""
     random, motors, turn = np.random.default_rng(5), Motors.start(1, 1), np.zeros((1, 1))
     for _ in range(40):
         command, before = random.uniform(-0.5, 0.5, (1, 1)), turn
@@ -482,7 +482,7 @@ def motors_after(turn_of):
 
 
 def as_given(_, before, command):
-    return 0.19 * before + 0.77 * command
+    return GIVEN[0] * before + GIVEN[1] * command
 
 
 def with_noise(random, before, command):

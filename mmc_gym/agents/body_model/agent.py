@@ -54,7 +54,7 @@ from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
-from mmc_gym.agents.body_model.regulator import EXACT, Regulator, regulates
+from mmc_gym.agents.body_model.regulator import Regulator, regulates
 from mmc_gym.agents.body_model.senses import CLEAR, LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.agents.mmc import network_of_arm
@@ -65,6 +65,7 @@ from mmc_gym.network import LearnedNormalizer, MMCNetwork
 LAG = 1.5  # control steps until the joints are where a command takes them
 AT_LIMIT = 0.05  # a joint nearer to its limit may be stopped by it, radians
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
+EXACT = 0.002  # noise of joint angles from which on they are not seen exactly, radians
 BETWEEN = -1  # looks of a state between two movements
 LONGEST_WAIT = 10.0  # observations that an arm waits at most for a first posture that is whole
 
@@ -341,7 +342,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return *state.response.run_forward(angles, speeds, delay.late, step), turn
 
     def _forecast(self, state: BodyState, now: Floats) -> ReachProblem:
-        """Return where the joints are now, and where the hand should be when a command acts."""
+        """Return the task: the posture now, and where the hand should be once the command acts."""
         delay, locks = state.senses.delay, state.locks
         held = locks.is_locked if any_true(locks.is_locked) else None
         if held is not None:
@@ -380,7 +381,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _drive(
         self, state: BodyState, problem: ReachProblem, before: Floats
     ) -> tuple[Floats, BodyState]:
-        """Return joint targets, and the state after they were sent; joints turned `before`."""
+        """Return joint targets, and the state after they were sent.
+
+        Joints turned by `before` in the last control step, radians, (n, N).
+        """
         interface, now = self.interface, problem.joint_angles
         left = interface.turn(now, state.route.next)
         if self.parts.drives and not interface.has_drive:
@@ -419,7 +423,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return state._replace(drive=drive, memory=memory, regulator=regulator)
 
     def _regulates(self, state: BodyState, left: Floats) -> Bools:
-        """Return which arms the regulator commands, (n,), seen without delay, noise or doubt."""
+        """Return which arms the regulator commands, (n,): only those seen exactly and in time."""
         senses, unit = state.senses, full_turn(self.interface)
         strength = self._strength(state.drive)
         acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
@@ -429,7 +433,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _regulate(
         self, state: BodyState, problem: ReachProblem, left: Floats
     ) -> tuple[Floats, Regulator]:
-        """Return how far ahead of the joints the regulator's targets are, and the regulator."""
+        """Return how far targets are ahead of the joints, radians, and the regulator after that."""
         unit, goal_turn = full_turn(self.interface), state.route.goal_turn
         speeds = state.senses.posture.speeds / self.interface.speed_limit
         jacobian = as_vectors(1j * to_hand(problem.joint_angles, problem.lengths))
@@ -479,9 +483,9 @@ def mmc_body(
 
 
 def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
-    """Return the internal model of `mmc_body`: the paper's, but for other settings of `MMCNetwork`.
+    """Return the network of `mmc_body`: the paper's, but with less damping, so it settles sooner.
 
-    With less damping than the paper's it settles sooner (`body_model.imagination`).
+    `settings` are of `MMCNetwork`.  How soon it settles matters to `body_model.imagination`.
     """
     body: dict[str, Any] = {
         "damping": 0.55 * (len(interface.segment_lengths) + 1),

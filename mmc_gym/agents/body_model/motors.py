@@ -37,6 +37,7 @@ WORSE = 4.0  # ratio of the given servo's square error to that learned from whic
 STAYS = 0.25  # and down to which it still does
 LARGEST = 0.5  # largest square, full turns squared
 SMALL = 2e-4  # square error that is as good as none, full turns squared
+OTHER = 2e-3  # square error of a motor that clearly is not the given servo, full turns squared
 LEAST_STRENGTH = 0.12  # |g| of a motor that is used: a weaker one is locked
 LEAST_CHANGE = 0.1  # change of a turn that a given servo always can, full turns
 
@@ -90,6 +91,18 @@ class Motors(NamedTuple):
         """Which motors are not as given, or bear a load, (n, N)."""
         differ: Bools = self.running[..., 0] > SMALL
         return differ
+
+    @property
+    def clearly_differ(self) -> Bools:
+        """Which motors are clearly not as given, (n, N)."""
+        differ: Bools = self.running[..., 0] > OTHER
+        return differ
+
+    @property
+    def shown_change(self) -> Floats:
+        """Root mean square of how turns lately changed in a control step, full turns, (n, N)."""
+        change: Floats = np.sqrt(self.running[..., 2])
+        return change
 
     def expected(self, before: Floats, commanded: Floats, unit: float) -> Floats:
         """Return how far joints turn by a command, radians, where that is learned; else as given.

@@ -54,8 +54,6 @@ POSTURE = 0.1  # ε, segment lengths²
 NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its turn
 SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
 WEAK = 0.025  # least strength, full turns: a weaker motor is at the limit of its torque here, too
-OTHER = 2e-3  # square error of a motor that clearly is not the given servo, full turns squared
-EXACT = 0.002  # noise of the joint angles from which on they are not seen exactly, radians
 
 
 def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) -> Bools:
@@ -65,11 +63,9 @@ def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) 
     as is known, both in full turns, (n, N).  Noise of commands and loose gears look like weak
     motors, so what joints were seen to do counts, too.
     """
-    squared_error, _, squared_change = np.moveaxis(motors.running, -1, 0)
-    strength = np.maximum(strength, SHOWN * np.sqrt(squared_change))
+    strength = np.maximum(strength, SHOWN * motors.shown_change)
     is_near = (np.abs(left) < NEAR * strength) & (strength > WEAK)
-    is_other = squared_error > OTHER
-    acts: Bools = (is_near | is_locked).all(axis=-1) & is_other.any(axis=-1)
+    acts: Bools = np.all(is_near | is_locked, axis=-1) & np.any(motors.clearly_differ, axis=-1)
     return acts
 
 
