@@ -250,6 +250,17 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
     return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
 
 
+def of_arms(state: State, arms: NDArray[np.intp]) -> State:
+    """Return the state of some of the arms alone."""
+    return _of_arms(state, arms)
+
+
+def _of_arms(state: Any, arms: NDArray[np.intp]) -> Any:
+    if isinstance(state, tuple):
+        return type(state)(*(_of_arms(field, arms) for field in state))
+    return state[arms]
+
+
 _OF_STEPS = {"TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"}
 _OF_REWARDS = {"NormalizeReward", "ClipReward", "TransformReward"}
 _OF_RECORDS = {"RecordEpisodeStatistics", "Monitor", "VecMonitor", "VecCheckNan", "DictInfoToList"}

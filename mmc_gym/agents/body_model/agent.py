@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym.agents.base import FeedbackAgent, all_true, any_true, where
+from mmc_gym.agents.base import FeedbackAgent, all_true, any_true, of_arms, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
@@ -301,7 +301,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         interface = self.interface
         return drive.acceleration * interface.control_step**2 / full_turn(interface)
 
-    def _learn_commands(self, regulator: Regulator, step: LastStep) -> Regulator:
+    def _learn_commands(self, regulator: Regulator, step: LastStep, motors: Motors) -> Regulator:
         """Return the regulator after a control step, if the arm was felt to move in it."""
         unit, limit, is_felt = full_turn(self.interface), self.interface.speed_limit, step.is_felt
         after = regulator.observe(
@@ -416,9 +416,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         lead = drive.invert_servos(turn, left, noise, self.interface, state.motors, before)
         regulator = state.regulator
         if self.finds_motors and any_true(acts := self._regulates(state, left)):
-            best, after = self._regulate(state, problem, left)
-            lead = np.where(acts[:, None], best, lead)
-            regulator = after if all_true(acts) else where(acts, after, regulator)
+            lead, regulator = self._regulate(state, problem, left, lead, np.flatnonzero(acts))
         drive = drive.send(lead, self.interface)
         return state._replace(drive=drive, memory=memory, regulator=regulator)
 
@@ -431,16 +429,26 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return acts & ~state.stuck.contradicts
 
     def _regulate(
-        self, state: BodyState, problem: ReachProblem, left: Floats
+        self,
+        state: BodyState,
+        problem: ReachProblem,
+        left: Floats,
+        lead: Floats,
+        arms: NDArray[np.intp],
     ) -> tuple[Floats, Regulator]:
-        """Return how far targets are ahead of the joints, radians, and the regulator after that."""
-        unit, goal_turn = full_turn(self.interface), state.route.goal_turn
-        speeds = state.senses.posture.speeds / self.interface.speed_limit
+        """Return how far targets are ahead, radians, as the regulator has it for some arms."""
+        unit, regulator, problem = full_turn(self.interface), state.regulator, problem.of(arms)
+        left, goal_turn = left[arms], state.route.goal_turn[arms]
+        speeds = state.senses.posture.speeds[arms] / self.interface.speed_limit
         jacobian = as_vectors(1j * to_hand(problem.joint_angles, problem.lengths))
         angles = ((left - goal_turn) / unit, speeds, goal_turn / unit)
-        turn, regulator = state.regulator.command(*angles, jacobian, problem.held)
-        lead = turn * (unit / turn_share(self.interface))
-        return lead if problem.held is None else np.where(problem.held, 0.0, lead), regulator
+        turn, after = of_arms(regulator, arms).command(*angles, jacobian, problem.held)
+        best = turn * (unit / turn_share(self.interface))
+        if problem.held is not None:
+            best = np.where(problem.held, 0.0, best)
+        lead, value = lead.copy(), regulator.value.copy()
+        lead[arms], value[arms] = best, after.value
+        return lead, regulator._replace(value=value)
 
     def _turn(self, state: BodyState, problem: ReachProblem, left: Floats) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""

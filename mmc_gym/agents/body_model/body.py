@@ -53,7 +53,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import all_true, any_true, where
+from mmc_gym.agents.base import all_true, any_true, of_arms, where
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Points,
@@ -178,8 +178,9 @@ class Change(NamedTuple):
             return Change(looks, mean, mean, fails)
         failing = np.flatnonzero(fails)
         error_of_trend, is_on = mean.copy(), zero > 0
-        states = self, evidence.best, evidence.given_body
-        before, best, given_body = (_of(state, failing) for state in states)
+        before = of_arms(self, failing)
+        best = of_arms(evidence.best, failing)
+        given_body = of_arms(evidence.given_body, failing)
         trend = before.body(best, given_body, 1.0)
         error = squared(hand[failing] - trend.seen(z[failing, :-2]))
         error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
@@ -187,13 +188,6 @@ class Change(NamedTuple):
         error_of_trend[failing] = error
         is_on[failing] = error + EXACT < limit * (mean[failing] + EXACT)
         return Change(looks, mean, error_of_trend, is_on)
-
-
-def _of(state: Any, arms: NDArray[np.intp]) -> Any:
-    """Return a state of these arms alone."""
-    if isinstance(state, tuple):
-        return type(state)(*(_of(field, arms) for field in state))
-    return state[arms]
 
 
 class BodyEvidence(NamedTuple):
@@ -278,8 +272,9 @@ class BodyEvidence(NamedTuple):
         if not any_true(self.change.is_on):
             return self.best
         changing = np.flatnonzero(self.change.is_on)
-        states = self.change, self.best, self.given_body
-        change, best, given_body = (_of(state, changing) for state in states)
+        change = of_arms(self.change, changing)
+        best = of_arms(self.best, changing)
+        given_body = of_arms(self.given_body, changing)
         turn, shift = self.best.turn.copy(), self.best.shift.copy()
         after = change.body(best, given_body, steps[changing])
         turn[changing], shift[changing] = after.turn, after.shift
