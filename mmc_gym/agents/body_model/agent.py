@@ -241,7 +241,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         response, locks, regulator = state.response, state.locks, state.regulator
         if self.finds_motors:
             motors, drive = self._identify_motors(motors, drive, step)
-            regulator = self._learn_commands(regulator, step)
+            regulator = self._learn_commands(regulator, step, motors)
         if self.has_own_act:
             delay = senses.delay
             before = state.senses.posture.speeds
@@ -310,6 +310,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             after=step.after.speeds / limit,
             turn=step.after.turn / unit,
             is_clear=step.after.deviation < CLEAR,
+            differs=np.any(motors.clearly_differ, axis=-1),
         )
         if all_true(is_felt):
             return after

@@ -22,7 +22,7 @@ With z = (d, 1, v, u₋) and z′ = F z + B u the linear-quadratic regulator min
     |J d|² + ε |d|² + ρ |u − u₋|²
 
 over all control steps to come; speeds and turns are relative to those of the goals.  So what does
-not move the hand is hardly corrected (Todorov & Jordan 2002).  Changes of the command cost, not its
+not move the hand is corrected less (Todorov & Jordan 2002).  Changes of the command cost, not its
 size, so a steady push leaves no steady error.  P, the cost to come as a quadratic form in z, begins
 as the identity, and gets one step of Riccati's equation whenever the regulator commands.  Q and C
 are the parts of the cost in z alone, and between u and z:
@@ -30,8 +30,16 @@ are the parts of the cost in z alone, and between u and z:
     K = (ρ + BᵀP B)⁻¹ (BᵀP F + C),     P ← Q + FᵀP F − (BᵀP F + C)ᵀ K
     u = −K z
 
-Literature: Todorov & Jordan (2002), Nat. Neurosci. 5, 1226–1235.  Anderson & Moore (1990), Optimal
-control: linear quadratic methods.
+**Caution.**  Noise that adds to commands needs none.  But where commands are lost, held or
+repeated, the error r of a joint's turn grows with the change of its command,
+
+    E r² = σ² + κ (u − u₋)²
+
+Such noise adds κ p to the cost ρ of the change, where p is the entry of P for the angle left of the
+joint (Todorov 2005).  κ follows by regression over the last control steps, less its standard error.
+
+Literature: Todorov & Jordan (2002), Nat. Neurosci. 5, 1226–1235.  Todorov (2005), Neural Comput.
+17, 1084–1108.  Anderson & Moore (1990), Optimal control: linear quadratic methods.
 """
 
 from __future__ import annotations
@@ -41,6 +49,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmc_gym.agents.base import any_true
 from mmc_gym.agents.body_model.forward_model import Bools
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.geometry import Floats
@@ -48,8 +57,10 @@ from mmc_gym.geometry import Floats
 # What the given servo makes of v and of u, as shares in v′ and in t: A₀ and T₀.
 GIVEN_OF_SPEED, GIVEN_OF_COMMAND = (0.19, 0.3), (0.77, 0.65)
 RIDGE = 0.1  # Λ, in full turns squared
-KEEP = 0.95  # λ: share of the sums that is left after a control step
-SMOOTH = 0.5  # ρ, segment lengths²
+KEEP = 0.98  # λ: share of the sums that is left after a control step
+KEEP_ERRORS = 0.95  # the same of the sums that κ follows from
+LEAST = 1e-9  # spread of the changes that is as good as none, full turns⁴
+SMOOTH = 0.05  # ρ where κ is 0, segment lengths²
 POSTURE = 0.1  # ε, segment lengths²
 NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its turn
 SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
@@ -63,9 +74,12 @@ def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) 
     as is known, both in full turns, (n, N).  Noise of commands and loose gears look like weak
     motors, so what joints were seen to do counts, too.
     """
+    differs: Bools = np.any(motors.clearly_differ, axis=-1)
+    if not any_true(differs):
+        return differs
     strength = np.maximum(strength, SHOWN * motors.shown_change)
     is_near = (np.abs(left) < NEAR * strength) & (strength > WEAK)
-    acts: Bools = np.all(is_near | is_locked, axis=-1) & np.any(motors.clearly_differ, axis=-1)
+    acts: Bools = differs & np.all(is_near | is_locked, axis=-1)
     return acts
 
 
@@ -76,23 +90,35 @@ class Regulator(NamedTuple):
     products: Floats  # R, (n, 3 N + 1, 2 N)
     last: Floats  # u₋, (n, N)
     value: Floats  # P, (n, 3 N + 1, 3 N + 1)
+    fit: Floats  # (A, T)ᵀ, (n, 3 N + 1, 2 N)
+    errors: Floats  # Σ y yᵀ of y = (1, (u − u₋)², r²), (n, N, 3, 3)
 
     @classmethod
     def start(cls, arms: int, joints: int) -> Regulator:
         """Return what is known before a movement."""
         size = 3 * joints + 1
-        products, last = np.zeros((arms, size, 2 * joints)), np.zeros((arms, joints))
         return cls(
-            np.zeros((arms, size, size)), products, last, np.tile(np.eye(size), (arms, 1, 1))
+            squares=np.zeros((arms, size, size)),
+            products=np.zeros((arms, size, 2 * joints)),
+            last=np.zeros((arms, joints)),
+            value=np.tile(np.eye(size), (arms, 1, 1)),
+            fit=np.tile(_given(joints), (arms, 1, 1)),
+            errors=np.zeros((arms, joints, 3, 3)),
         )
 
     def observe(
-        self, before: Floats, commanded: Floats, after: Floats, turn: Floats, is_clear: Bools
+        self,
+        before: Floats,
+        commanded: Floats,
+        after: Floats,
+        turn: Floats,
+        is_clear: Bools,
+        differs: Bools,
     ) -> Regulator:
         """Return it after a control step, all in full turns, (n, N).
 
         Joints had the speeds `before` and `after` it, and turned by `turn`.  Only what `is_clear`,
-        (n, 1), counts.
+        (n, 1), counts.  A and T follow where a motor `differs` from the given servo, (n,).
         """
         x = np.concatenate([np.ones_like(before[:, :1]), before, self.last, commanded], axis=-1)
         # By elements: a product of matrices may round otherwise in another batch.
@@ -104,7 +130,29 @@ class Regulator(NamedTuple):
         counted = (is_clear * x)[..., None]
         squares = KEEP * self.squares + counted * x[:, None]
         products = KEEP * self.products + counted * error[:, None]
-        return Regulator(squares, products, commanded, self.value)
+        y = np.ones((*turn.shape, 3))
+        y[..., 1] = (commanded - self.last) ** 2
+        y[..., 2] = (turn - (self.fit[..., turn.shape[1] :] * x[..., None]).sum(axis=1)) ** 2
+        counted = (is_clear[..., None] * y)[..., None]
+        errors = KEEP_ERRORS * self.errors + counted * y[..., None, :]
+        fit = self.fit
+        if any_true(differs):
+            ridge, fit = RIDGE * np.eye(x.shape[1]), fit.copy()
+            change = np.linalg.solve(squares[differs] + ridge, products[differs])
+            fit[differs] = _given(turn.shape[1]) + change
+        return Regulator(squares, products, commanded, self.value, fit, errors)
+
+    @property
+    def doubt(self) -> Floats:
+        """By how much square errors grow with the square change of a command: κ, (n, N)."""
+        count = np.maximum(self.errors[..., 0, 0], 1.0)
+        means = self.errors[..., 0] / count[..., None]
+        about_means = self.errors - count[..., None, None] * means[..., None] * means[..., None, :]
+        of_change, both, of_error = (about_means[..., i, j] for i, j in ((1, 1), (1, 2), (2, 2)))
+        slope = both / (of_change + LEAST)
+        variance = (of_error - slope * both) / (of_change + LEAST) / count
+        doubt: Floats = np.maximum(slope - np.sqrt(np.maximum(variance, 0.0)), 0.0)
+        return doubt
 
     def command(
         self, left: Floats, speeds: Floats, goal_turn: Floats, jacobian: Floats, held: Bools | None
@@ -117,8 +165,7 @@ class Regulator(NamedTuple):
         """
         arms, joints = left.shape
         size = 3 * joints + 1
-        eye, ridge = np.eye(joints), RIDGE * np.eye(size)
-        fit = _given(joints) + np.linalg.solve(self.squares + ridge, self.products)
+        eye, fit = np.eye(joints), self.fit
         if held is not None:
             fit = np.where(np.tile(held, 2)[:, None], 0.0, fit)
         # z′ = F z + B u for z = (d, 1, v, u₋), where turns and speeds are relative to the goals'.
@@ -136,14 +183,16 @@ class Regulator(NamedTuple):
             model[..., size:] *= ~held[:, None]
         forward, effect = model[..., :size], model[..., size:]
 
+        doubted = self.doubt * np.diagonal(self.value, axis1=-2, axis2=-1)[:, d]
+        smooth = (SMOOTH + doubted)[..., None] * eye
         ahead = np.swapaxes(effect, -1, -2) @ self.value
         response = ahead @ forward
-        response[..., last] -= SMOOTH * eye
-        gain = np.linalg.solve(ahead @ effect + SMOOTH * eye, response)
+        response[..., last] -= smooth
+        gain = np.linalg.solve(ahead @ effect + smooth, response)
         value = np.swapaxes(forward, -1, -2) @ self.value @ forward
         value -= np.swapaxes(response, -1, -2) @ gain
         value[:, d, d] += jacobian @ np.swapaxes(jacobian, -1, -2) + POSTURE * eye
-        value[:, last, last] += SMOOTH * eye
+        value[:, last, last] += smooth
         value = (value + np.swapaxes(value, -1, -2)) / 2
         state = np.concatenate([left, np.ones((arms, 1)), speeds - goal_turn, self.last], axis=-1)
         return -(gain @ state[..., None])[..., 0], self._replace(value=value)
