@@ -10,17 +10,14 @@ seen.  Over the last control steps,
 
 is nearly 0 at the point of contact.  A load that gathers speed looks similar, but no point of it
 loses speed in a blow.  So a point that lost speed counts as in contact after a few control steps of
-small r, any other point only after many.  If all joints rest in spite of their commands, the point
-that should move farthest is in contact.  There a disc of `RADIUS` is remembered, on the side to
+small r, any other point only after many.  There a disc of `RADIUS` is remembered, on the side to
 which the point should move.
 
-**Routes.**  Postures near the straight ways to the target, and some anywhere, form a map of where
-the arm can be.  Legs between them that lead a segment into a remembered disc are left out, and the
-shortest route from the present posture to one with the hand at the target is taken (a probabilistic
-roadmap: Kavraki, Švestka, Latombe & Overmars 1996, IEEE Trans. Robotics Automation 12, 566–580).
-There may be more obstacles than are known, so a leg costs more the farther the arm moves in the
-plane.  Finally the postures on the route are drawn towards the straight line, as far as that is
-free.
+**Routes.**  Postures anywhere form a map of where the arm can be.  Legs between them that lead a
+segment into a remembered disc are left out, and the shortest route from the present posture to one
+with the hand at the target is taken (a probabilistic roadmap: Kavraki, Švestka, Latombe & Overmars
+1996, IEEE Trans. Robotics Automation 12, 566–580).  There may be more obstacles than are known, so
+a leg costs more the farther the arm moves in the plane.
 """
 
 from __future__ import annotations
@@ -39,35 +36,22 @@ from mmc_gym.interface import ReachInterface
 
 POINTS = np.arange(1, 13) / 12  # positions along a segment at which contacts are looked for
 LACKED_TURN = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians
-LACKED_AT_REST = 0.015  # the same if all joints rest
-HELD_TURN = 0.002  # joints that turn by less in a control step rest, radians
 RECENT = 0.6  # share of the sums of speeds that remains after a control step
 INTENDED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
 BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
 FADES = 0.9  # share of that loss which remains after a control step
 TOUCHES_AFTER_BLOW = 3  # control steps of small r until a point that lost speed is in contact
 TOUCHES = 16  # the same of any other point
-LASTING = 10  # control steps at rest until an arm is in contact
 RADIUS = 0.28  # radius of an obstacle, with half the thickness of a segment, segment lengths
 MOST_DISCS = 6  # number of discs that are remembered
 NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
 
 DISC_MARGIN = 0.02  # distance kept from a disc, segment lengths
-COMFORT = 0.15  # a leg costs more if it is nearer to a disc, segment lengths
-DISCOMFORT = 6.0  # weight of what it is nearer, radians per segment length
 STAGES = np.arange(1, 17) / 16  # shares of a leg at which it is checked
-EVERYWHERE = 64  # number of postures in the map that are drawn anywhere
-NEARBY = 96  # number of those near the straight ways to the target
-SCATTER = 1.5  # their largest distance from these, radians
-NEIGHBOURS = 8  # number of legs from each posture of the map
-GOALS = 24  # number of postures with the hand at the target
-LEG = 0.3  # cost of a leg besides its length, radians
+EVERYWHERE = 64  # number of postures in the map
 HAZARD = 0.1  # cost of moving the ends of segments, radians per length
 LEGS = 5  # largest number of legs of a route
 ARRIVED = 0.3  # a leg is over when no joint is farther from its end, radians
-# Shares by which a posture on the route is moved towards the straight line past it.
-SHORTCUTS = np.array([1.0, 0.75, 0.5, 0.25, 0.0])
-TIGHTENED = 2  # how often all postures are moved
 
 
 class Contacts(NamedTuple):
@@ -78,7 +62,6 @@ class Contacts(NamedTuple):
     actual: Floats  # Σ |a·n|, segment lengths
     blow: Floats  # speed recently lost, segment lengths per control step
     rests: Floats  # number of control steps of small r
-    still: Floats  # number of control steps in which the arm was at rest, (n,)
     located: Floats  # number of obstacles so far, (n,)
     is_new: Bools  # whether the last observation was a contact, (n,)
 
@@ -87,24 +70,20 @@ class Contacts(NamedTuple):
         """Return the memory without obstacles."""
         sums, none = np.zeros((arms, joints * len(POINTS))), np.zeros(arms)
         discs = np.full((arms, MOST_DISCS), NOWHERE)
-        return cls(discs, sums, sums, sums, sums, still=none, located=none, is_new=none > 0)
+        return cls(discs, sums, sums, sums, sums, located=none, is_new=none > 0)
 
     def locate(self, step: LastStep, lengths: Floats, counts: Bools) -> Contacts:
         """Return the memory after a control step of arms that count (`counts`, (n,))."""
         turn = step.after.turn
-        lack = np.abs(step.commanded - turn).max(axis=-1)
-        lacks, is_still = (lack > LACKED_TURN) & counts, (lack > LACKED_AT_REST) & counts
-        if any_true(is_still):
-            is_still &= np.abs(turn).max(axis=-1) < HELD_TURN
-        if not any_true(lacks | is_still):
+        lacks = (np.abs(step.commanded - turn).max(axis=-1) > LACKED_TURN) & counts
+        if not any_true(lacks):
             return self._released() if any_true(self.intended) or any_true(self.is_new) else self
         units = unit_vectors(step.after.joint_angles)
         intended = _across(units, lengths, step.commanded)
         actual = _across(units, lengths, turn)
         lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(intended)
-        after = self._pressed(intended, actual, lost, lacks[:, None], is_still)
-        after = where(lacks | is_still, after, self._released())
-        is_new, point = after._point_of_contact(intended)
+        after = where(lacks, self._pressed(intended, actual, lost), self._released())
+        is_new, point = after._point_of_contact()
         after = after._replace(is_new=is_new)
         if not any_true(is_new):
             return after
@@ -121,32 +100,23 @@ class Contacts(NamedTuple):
         start = self.start(arms, points // len(POINTS))
         return start._replace(discs=self.discs, located=self.located)
 
-    def _pressed(
-        self, intended: Floats, actual: Floats, lost: Floats, lacks: Bools, is_still: Bools
-    ) -> Contacts:
+    def _pressed(self, intended: Floats, actual: Floats, lost: Floats) -> Contacts:
         """Return the running sums one control step later.
 
-        The points should have moved by `intended`, did move by `actual`, and lost speed.  The sums
-        of arms that lack no turn (`lacks`, (n, 1)) begin anew.
+        The points should have moved by `intended`, did move by `actual`, and lost speed.
         """
-        total = RECENT * self.intended * lacks + np.abs(intended)
-        moved = RECENT * self.actual * lacks + np.abs(actual)
-        is_at_rest = (total > INTENDED_WAY) & (moved < STOPPED_RATIO * total) & lacks
-        return self._replace(
-            intended=total,
-            actual=moved,
-            blow=np.maximum(FADES * self.blow * lacks, lost),
-            rests=np.where(is_at_rest, self.rests + 1, 0.0),
-            still=np.where(is_still, self.still + 1, 0.0),
-        )
+        total = RECENT * self.intended + np.abs(intended)
+        moved = RECENT * self.actual + np.abs(actual)
+        is_at_rest = (total > INTENDED_WAY) & (moved < STOPPED_RATIO * total)
+        rests, blow = np.where(is_at_rest, self.rests + 1, 0.0), np.maximum(FADES * self.blow, lost)
+        return self._replace(intended=total, actual=moved, blow=blow, rests=rests)
 
-    def _point_of_contact(self, intended: Floats) -> tuple[Bools, NDArray[np.intp]]:
+    def _point_of_contact(self) -> tuple[Bools, NDArray[np.intp]]:
         """Return which arms are in contact, (n,), and with which of their points, (n,)."""
         touches = self.rests >= np.where(self.blow > BLOW, TOUCHES_AFTER_BLOW, TOUCHES)
-        is_felt = touches.any(axis=-1)
         ratio = np.where(touches, self.actual / np.maximum(self.intended, 1e-9), np.inf)
-        point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(intended).argmax(axis=-1))
-        return is_felt | (self.still >= LASTING), point
+        is_felt: Bools = np.any(touches, axis=-1)
+        return is_felt, ratio.argmin(axis=-1)
 
     def _remember(self, disc: Points) -> Contacts:
         """Return the memory of one more disc for each arm; a known one improves its place."""
@@ -231,9 +201,7 @@ def leg_costs(
     spare = (clearance(stages, lengths, discs) - needed).min(axis=-1)
     ends = np.cumsum(lengths * unit_vectors(stages), axis=-1)
     swept = np.abs(np.diff(ends, axis=-2)).sum(axis=(-1, -2))
-    cost = np.abs(turn).max(axis=-1) + LEG + HAZARD * swept
-    cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
-    return np.where(spare > 0, cost, np.inf)
+    return np.where(spare > 0, np.abs(turn).max(axis=-1) + HAZARD * swept, np.inf)
 
 
 class RoadMap:
@@ -245,8 +213,6 @@ class RoadMap:
         random = np.random.default_rng(0)  # always the same map
         anywhere = random.uniform(-np.pi, np.pi, (EVERYWHERE, joints))
         self.everywhere = self.interface.within_limits(anywhere)
-        self.along = random.uniform(0, 1, (NEARBY, 1))
-        self.scatter = random.uniform(-SCATTER, SCATTER, (NEARBY, joints))
 
     def plan(self, route: Route, contacts: Contacts, problem: ReachProblem, begins: Bools) -> Route:
         """Return the routes, new where a movement begins, and round the known contacts."""
@@ -268,57 +234,22 @@ class RoadMap:
     def _ends_of_legs(self, problem: ReachProblem, discs: Points) -> Floats | None:
         """Return the ends of the legs of a route, (legs, N); None if there is none."""
         start, lengths = problem.joint_angles[0], problem.lengths[0]
-        goals, costs = (values[:, 0] for values in self.imagination.imagine(problem))
-        goals = goals[np.argsort(costs)[:GOALS]]
-        goals = goals[clearance(goals, lengths, discs) > RADIUS]
-        if not len(goals):
-            return None
-        towards = self.interface.turn(start, goals)[np.arange(NEARBY) % len(goals)]
-        nearby = self.interface.within_limits(start + self.along * towards + self.scatter)
-        vias = np.concatenate([nearby, self.everywhere])
+        goals = self.imagination.imagine(problem)[0][:, 0]
+        vias = self.everywhere
         if problem.held is not None:
             vias = np.where(problem.held[0], start, vias)
-        vias = vias[clearance(vias, lengths, discs) > RADIUS]
-        nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
-        begins, ends = self._legs(nodes, first_via)
+        goals, vias = (
+            postures[clearance(postures, lengths, discs) > RADIUS] for postures in (goals, vias)
+        )
+        if not len(goals):
+            return None
+        nodes = np.concatenate([start[None], goals, vias])
+        begins, ends = np.triu_indices(len(nodes), 1)
         cost = np.full((len(nodes), len(nodes)), np.inf)
         leg_cost = leg_costs(self.interface, nodes[begins], nodes[ends], lengths, discs)
         cost[begins, ends] = cost[ends, begins] = leg_cost
-        shortest = _shortest(cost, np.arange(1, first_via))
-        if shortest is None:
-            return None
-        nodes = nodes[shortest]
-        for _ in range(TIGHTENED):
-            self._tighten(nodes, lengths, discs)
-        return nodes[1:]
-
-    def _legs(self, nodes: Floats, first_via: int) -> tuple[NDArray[np.intp], ...]:
-        """Return the legs of a map, as the indices of the nodes at their two ends, (legs,) each.
-
-        They lead from the first node, where the arm is, to all others; from each of those to its
-        neighbours; and from each goal, a node before `first_via`, to three times as many.
-        """
-        far = np.abs(self.interface.turn(nodes[1:, None], nodes[1:])).max(axis=-1)
-        goals, others = np.arange(1, first_via), np.arange(1, len(nodes))
-        near = far.argsort(axis=-1)[:, 1 : NEIGHBOURS + 1] + 1
-        to_goal = far[: len(goals), len(goals) :].argsort(axis=-1)[:, : 3 * NEIGHBOURS] + first_via
-        is_leg = np.zeros((len(nodes), len(nodes)), bool)
-        is_leg[0, others] = True
-        is_leg[others[:, None], near] = True
-        is_leg[goals[:, None], to_goal] = True
-        return np.nonzero(np.triu(is_leg | is_leg.T))
-
-    def _tighten(self, nodes: Floats, lengths: Floats, discs: Points) -> None:
-        """Move the postures on a route (legs + 1, N) to where it is cheaper, in place."""
-        for k in range(1, len(nodes) - 1):
-            before, via, after = nodes[k - 1 : k + 2]
-            here, past = self.interface.turn(before, via), self.interface.turn(before, after)
-            share = np.clip((here @ past) / np.maximum(past @ past, 1e-9), 0, 1)
-            candidates = via + SHORTCUTS[:, None] * (share * past - here)
-            cost = leg_costs(self.interface, before, candidates, lengths, discs)
-            cost = cost + leg_costs(self.interface, candidates, after, lengths, discs)
-            if np.isfinite(cost.min()):
-                nodes[k] = candidates[cost.argmin()]
+        shortest = _shortest(cost, np.arange(1, 1 + len(goals)))
+        return None if shortest is None else nodes[shortest][1:]
 
 
 def _shortest(cost: Floats, ends: NDArray[np.intp]) -> list[int] | None:
