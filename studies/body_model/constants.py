@@ -123,6 +123,8 @@ def main(arguments: Arguments) -> None:
         for constant in constants_of(module)
         if constant.name in arguments.only or not arguments.only
     ]
+    if unknown := {*arguments.only} - {constant.name for constant in constants}:
+        raise SystemExit(f"--only must be names of constants, such as LAG, got {sorted(unknown)}")
     with ProcessPoolExecutor(arguments.processes) as pool:
         plain = pool.submit(results, arguments)
         jobs = [
