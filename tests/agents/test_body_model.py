@@ -209,25 +209,25 @@ def last_step(before, after, commanded):
     return LastStep(before, after, turn, turn, is_felt=yes, is_clear=yes)
 
 
-def locks_after(turns, commanded, lockable=()):
+def locks_after(turns, commanded, vigour=1.0):
     """Which joints are taken as locked after each of some turns, (turns, 3)."""
     posture, locked = PostureTrack.start(*np.zeros((2, 1, 3))), []
     locks = Locks.start(posture.joint_angles)
     for turn in turns:
         before, seen = posture, posture.joint_angles + turn
         posture = before.filter(seen, turn / STEP, np.array([commanded]), STEP)
-        locks = locks.identify(last_step(before, posture, commanded), lockable)
+        locks = locks.identify(last_step(before, posture, commanded), vigour)
         locked.append(locks.is_locked[0])
     return np.array(locked)
 
 
-def test_a_lock_is_identified_sooner_if_it_is_given_and_a_false_one_freed():
+def test_a_lock_is_identified_sooner_at_human_speed_and_a_false_one_freed():
     held, free = np.array([[0.0, 0.1, 0.0]]), np.full((1, 3), 0.1)
     locked = locks_after([held] * 8 + [free] * 3, commanded=(0.1, 0.1, 0.0))
     assert locked[7].tolist() == [True, False, False] and not locked[-1].any()
     held, commanded = [np.array([[0.1, 0.0, 0.0]])] * 20, (0.05, 0.05, 0.05)
-    with_knowledge, without = (locks_after(held, commanded, lockable) for lockable in ((1,), ()))
-    assert 20 > with_knowledge[:, 1].sum() > without[:, 1].sum() > 0
+    slow, fast = (locks_after(held, commanded, vigour) for vigour in (0.0, 1.0))
+    assert 20 > slow[:, 1].sum() > fast[:, 1].sum() > 0
 
 
 def test_a_joint_taken_as_locked_is_pushed_although_it_once_turned_a_little():
@@ -632,7 +632,7 @@ def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault)
     options = {"control": "joint_delta", "engine": "analytic", "perturbations": fault.split("+")}
     builds = mmc_body, lambda interface, _: dynamic_mmc(interface)
     adapts, fixed = (success(episodes(build, 50, **options)) for build in builds)
-    assert adapts >= max(fixed - 0.02, 0.9)
+    assert adapts >= max(fixed - 0.02, 0.85)
 
 
 def test_first_observations_that_repeat_are_not_taken_for_a_delay():

@@ -248,11 +248,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
             counts = delay.is_felt[:, None] & self._turn_freely(seen.joint_angles)
             response = response.observe(before, seen.joint_speeds, delay.late, counts)
         if self.parts.finds_locks:
-            locks = locks.identify(step, self.interface.lockable_joints, self.parts.vigour)
+            locks = locks.identify(step, self.parts.vigour)
             if any_true(locks.is_locked):  # nothing is learned of motors whose joints are locked
                 motors = where(locks.is_locked, Motors.start(*locks.is_locked.shape), motors)
-        recovers = senses.target.is_moving
-        drive = drive.estimate_acceleration(step, recovers, self.interface, motors)
+        drive = drive.estimate_acceleration(step, self.interface, motors)
         contacts = state.contacts
         if self.parts.avoids:
             counts = step.is_clear & ~locks.is_locked.any(axis=-1)

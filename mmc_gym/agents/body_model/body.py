@@ -87,7 +87,6 @@ NEAR = 0.05  # squared distance from the centre within which errors count as shi
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
-LOCKED_AFTER_IF_GIVEN = 0.15  # the same for a joint that is given as lockable
 LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
 HUMAN_SHARE = 0.25  # share of that turn that is enough at a vigour of 0
 CAUTION = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
@@ -407,10 +406,8 @@ class Locks(NamedTuple):
         free = np.zeros(joint_angles.shape, bool)
         return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
 
-    def identify(
-        self, step: LastStep, lockable: tuple[int, ...] = (), vigour: float = 1.0
-    ) -> Locks:
-        """Return the locks after a control step; if `lockable` is empty, any joint can lock."""
+    def identify(self, step: LastStep, vigour: float = 1.0) -> Locks:
+        """Return the locks after a control step."""
         seen, noise = step.after.joint_angles, step.after.deviation
         away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
         moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
@@ -423,8 +420,7 @@ class Locks(NamedTuple):
                 after = np.where(self.is_locked & ~is_freed, self.commanded, 0.0)
         rests = (step.is_felt[:, None] | (step.after.age > FELT_BY)) & ~(moves | is_freed)
         commanded = np.where(rests, self.commanded + step.commanded, after)
-        least = LOCKED_AFTER_IF_GIVEN if lockable else LOCKED_AFTER
-        least *= HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour
+        least = LOCKED_AFTER * (HUMAN_SHARE + (1 - HUMAN_SHARE) * vigour)
         may_lock = np.abs(commanded) > least
         if not any_true(self.is_locked | may_lock):  # as mostly; then `may_lock` is False for all
             place = np.where(moves, seen, self.place)
@@ -433,8 +429,6 @@ class Locks(NamedTuple):
         was_wrong = self.was_wrong | is_freed
         enough = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
         locks = rests & (np.abs(commanded) > enough)
-        if lockable:
-            locks[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
         stays_locked = self.is_locked & ~is_freed
         is_locked = stays_locked | locks
         place = np.where(moves | locks, seen, self.place)

@@ -37,7 +37,6 @@ STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration o
 LACKED_SPEED = 0.3  # a joint that lacks more of its commanded speed does what it can, rad/s
 FALL_RATE, RISE_RATE = 0.4, 0.05  # rates of the estimate; another cause may help a joint to rise
 RETARD_RATE = 0.2  # its fall where a joint slows down whose motor is not as given: a lost command?
-RECOVERY_RATE = 0.03  # rate at which it recovers
 FULL_LEAD = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
 LARGEST_LEAD = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
 RETURN_RATE = 0.3  # rate at which a posture returns to the straight way that it left
@@ -61,12 +60,9 @@ class Drive(NamedTuple):
         return cls(np.full_like(still, STRONGEST), lead=still, elapsed=zero, duration=zero)
 
     def estimate_acceleration(
-        self, step: LastStep, recovers: Bools, interface: ReachInterface, motors: Motors
+        self, step: LastStep, interface: ReachInterface, motors: Motors
     ) -> Drive:
-        """Return the drive with the acceleration of the last control step, where it is clear.
-
-        Where joints are below their limit, it returns to the first estimate if `recovers`, (n,).
-        """
+        """Return the drive with the acceleration of the last control step, where it is clear."""
         before, posture = step.before, step.after
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds
@@ -77,7 +73,7 @@ class Drive(NamedTuple):
             lacks = np.where(motors.is_learned, speed - speeds, lacks)
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
         saturates &= step.is_clear[:, None]
-        if not any_true(saturates) and not any_true(recovers):
+        if not any_true(saturates):
             return self
         saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
         old = self.acceleration
@@ -86,8 +82,7 @@ class Drive(NamedTuple):
         fall = np.where(motors.differ & (shown < 0), RETARD_RATE, FALL_RATE)
         rate = np.where(change > 0, RISE_RATE, fall)
         estimate = old + rate * change
-        idle = old + RECOVERY_RATE * recovers[:, None] * (STRONGEST - old)
-        return self._replace(acceleration=np.where(saturates, estimate, idle))
+        return self._replace(acceleration=np.where(saturates, estimate, old))
 
     def turn(self, left: Floats, goal_turn: Floats, interface: ReachInterface) -> Floats:
         """Return the turns in a control step to a goal `left` away that turns by `goal_turn`."""

@@ -73,7 +73,6 @@ BIAS_RATE = 0.1  # rate at which the mean of the innovations follows them
 BIASED = 9 * BIAS_RATE / (2 - BIAS_RATE)  # (three standard deviations of that mean)², per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
 NOISE_RATE = 0.1  # rate at which the estimates of noise follow the observations
-LARGEST = 0.3  # largest innovation that counts as noise, radians
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
 JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
@@ -90,7 +89,6 @@ SAME_PLACE = 1e-5  # a hand that moves by less is seen where it was: rounding, l
 TURNED = 1e-3  # a turn of a joint that moves the hand, radians
 TURNED_PER_NOISE = 4.0  # what noise of the joint angles adds to it
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
-CLEARLY = 5.0  # a commanded turn of this many times the onset should be felt
 LATER = 1e-3  # square turns by which one step explains a turn better than several, full turns
 EARLY = 6  # observations in which noise may still be taken for a movement
 
@@ -356,7 +354,7 @@ class PostureTrack(NamedTuple):
         is_noisy = (median > 0.0) | (self.noise > 0.0)
         if not any_true(is_noisy):
             return self.accept(joint_angles, speeds)
-        median = np.minimum(np.maximum(median, 0.0), LARGEST)
+        median = np.maximum(median, 0.0)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         of_speeds = (unclear * unclear).sum(axis=-1, keepdims=True) / unclear.shape[-1]
@@ -577,7 +575,7 @@ class Delay(NamedTuple):
         due = self.due
         if not all_true(due):
             turn = commanded_turn(interface, posture.joint_angles, command)
-            felt_from = CLEARLY * _onset(posture) * interface.control_step
+            felt_from = _onset(posture) * interface.control_step
             due = np.where(due > 0, due, np.abs(turn).max(axis=-1) > felt_from)
         return self._replace(commands=commands, due=due)
 
