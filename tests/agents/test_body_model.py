@@ -240,6 +240,19 @@ def test_a_joint_taken_as_locked_is_pushed_although_it_once_turned_a_little():
     assert locks.is_locked[0].tolist() == [True, False, False] and locks.commanded[0, 0] > 0.4
 
 
+@pytest.mark.parametrize("fault", ["action-noise-0.3", "sensor-drift-0.4-of-2"])
+def test_the_regulator_commands_arms_whose_motors_err_but_not_those_whose_sensors_drift(fault):
+    with closing(gym.make_vec("MMCReach-v0", 20, perturbations=fault, engine="analytic")) as envs:
+        agent, state, steps = mmc_body(ReachInterface.of(envs)), None, []
+        observations, _ = envs.reset(seed=3)
+        for _ in range(100):
+            before = np.eye(10) if state is None else state.regulator.value
+            action, state = agent.predict(observations, state)
+            observations, *_ = envs.step(action)
+            steps.append(np.any(state.regulator.value != before, axis=(1, 2)))
+    assert np.mean(steps) > 0.5 if fault == "action-noise-0.3" else np.mean(steps) < 0.1
+
+
 def test_a_sensor_is_stuck_whose_joint_moves_the_hand_and_its_angle_follows():
     envs = gym.make_vec("MMCReach-v0", 20, perturbations="stuck-sensor-2", engine="analytic")
     agent, state = mmc_body(ReachInterface.of(envs)), None

@@ -421,12 +421,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return state._replace(drive=drive, memory=memory, regulator=regulator)
 
     def _regulates(self, state: BodyState, left: Floats) -> Bools:
-        """Return which arms the regulator commands, (n,): only those seen exactly and in time."""
+        """Return which arms the regulator commands, (n,): only those seen as they are, in time."""
         senses, unit = state.senses, full_turn(self.interface)
         strength = self._strength(state.drive)
         acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
         acts &= (senses.delay.late == 0) & (senses.posture.deviation[:, 0] < EXACT)
-        return acts & ~state.stuck.contradicts
+        return acts & ~state.stuck.contradicts & state.evidence.explains_hand
 
     def _regulate(
         self,

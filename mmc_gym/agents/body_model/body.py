@@ -266,6 +266,12 @@ class BodyEvidence(NamedTuple):
             is_lost = is_lost & (squared(hand - self.best.seen(units)) > LOST)
         return is_lost
 
+    @property
+    def explains_hand(self) -> Bools:
+        """Whether the errors of the best hypothesis are noise, not an offset, (n,)."""
+        explains: Bools = squared(self.offset) <= self.scatter + EXACT
+        return explains
+
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""
         if not any_true(self.change.is_on):
