@@ -50,9 +50,15 @@ class Constant:
 
     @contextmanager
     def times(self, factor: float) -> Iterator[None]:
-        """Let every module that has the constant hold a multiple of it; 1 at least if it counts."""
-        is_count = isinstance(self.value, int)
-        other = max(1, round(factor * self.value)) if is_count else factor * self.value
+        """Let every module that has the constant hold a multiple of it; 1 at least if it counts.
+
+        Of a share that is kept (`KEEP`) what is forgotten is multiplied.
+        """
+        other = factor * self.value
+        if isinstance(self.value, int):
+            other = max(1, round(other))
+        elif self.name.startswith("KEEP"):
+            other = 1 - factor * (1 - self.value)
         owner = importlib.import_module(self.module)
         value = getattr(owner, self.name)
         holders = [module for module in MODULES if vars(module).get(self.name) is value]
