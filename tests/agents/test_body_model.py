@@ -489,7 +489,7 @@ def test_the_regulator_corrects_less_what_does_not_move_the_hand():
         np.abs(regulator.command(np.array([left]), still, still, jacobian, None)[0]).max()
         for left in ([0.1, 0.1], [0.1, -0.1])
     )
-    assert alike < 0.6 * against
+    assert alike < 0.51 * against
 
 
 def test_the_regulator_does_not_count_on_held_joints():
@@ -645,7 +645,8 @@ def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault)
     options = {"control": "joint_delta", "engine": "analytic", "perturbations": fault.split("+")}
     builds = mmc_body, lambda interface, _: dynamic_mmc(interface)
     adapts, fixed = (success(episodes(build, 50, **options)) for build in builds)
-    assert adapts >= max(fixed - 0.02, 0.85)
+    least = 0.85 if fault == "backlash-0.3" else 0.9  # 91.5 % of 600 episodes
+    assert adapts >= max(fixed - 0.02, least)
 
 
 def test_first_observations_that_repeat_are_not_taken_for_a_delay():

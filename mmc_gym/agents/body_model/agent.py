@@ -309,7 +309,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             after=step.after.speeds / limit,
             turn=step.after.turn / unit,
             is_clear=step.after.deviation < CLEAR,
-            differs=np.any(motors.clearly_differ, axis=-1),
+            differs=motors.clearly_differ,
         )
         if all_true(is_felt):
             return after
@@ -436,7 +436,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         lead: Floats,
         arms: NDArray[np.intp],
     ) -> tuple[Floats, Regulator]:
-        """Return how far targets are ahead, radians, as the regulator has it for some arms."""
+        """Return leads, radians, and the regulator, after it commanded these arms, (m,).
+
+        A lead is how far a target is ahead of its joint; other arms keep theirs, of `lead`, (n, N).
+        """
         unit, regulator, problem = full_turn(self.interface), state.regulator, problem.of(arms)
         left, goal_turn = left[arms], state.route.goal_turn[arms]
         speeds = state.senses.posture.speeds[arms] / self.interface.speed_limit

@@ -130,7 +130,7 @@ def _mirrored(points: Points, is_mirrored: Bools) -> Points:
 
 
 class Change(NamedTuple):
-    """The last observations, and how well their trend and the best hypothesis predict the next."""
+    """Whether the body changes: a trend then predicts the hand better than the best hypothesis."""
 
     looks: Points  # the last z, see `BodyEvidence`, (n, 5, N + 2)
     error: Floats  # mean square error of the best hypothesis, (n,)
@@ -268,7 +268,7 @@ class BodyEvidence(NamedTuple):
 
     @property
     def explains_hand(self) -> Bools:
-        """Whether the errors of the best hypothesis are noise, not an offset, (n,)."""
+        """Whether the hand is seen where the best hypothesis expects it, but for noise, (n,)."""
         explains: Bools = squared(self.offset) <= self.scatter + EXACT
         return explains
 

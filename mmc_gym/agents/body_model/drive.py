@@ -46,7 +46,7 @@ SAMPLES = np.linspace(0.0, 1.0, 9)  # shares of a movement at which its way is m
 
 
 class Drive(NamedTuple):
-    """Memory of the drive."""
+    """What the drive remembers of n arms with N joints, and of their present movement."""
 
     acceleration: Floats  # a, as estimated, rad/s², (n, N)
     lead: Floats  # how far ahead of the joints their last targets were
@@ -62,7 +62,10 @@ class Drive(NamedTuple):
     def estimate_acceleration(
         self, step: LastStep, interface: ReachInterface, motors: Motors
     ) -> Drive:
-        """Return the drive with the acceleration of the last control step, where it is clear."""
+        """Return the drive with its estimate of joints' accelerations after a control step.
+
+        Only joints that lack much of their commanded speed show how fast they can accelerate.
+        """
         before, posture = step.before, step.after
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds

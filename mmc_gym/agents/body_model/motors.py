@@ -94,8 +94,8 @@ class Motors(NamedTuple):
 
     @property
     def clearly_differ(self) -> Bools:
-        """Which motors are clearly not as given, (n, N)."""
-        differ: Bools = self.running[..., 0] > OTHER
+        """Which arms have a motor that is clearly not as given, (n,)."""
+        differ: Bools = np.any(self.running[..., 0] > OTHER, axis=-1)
         return differ
 
     @property

@@ -74,7 +74,7 @@ def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) 
     as is known, both in full turns, (n, N).  Noise of commands and loose gears look like weak
     motors, so what joints were seen to do counts, too.
     """
-    differs: Bools = np.any(motors.clearly_differ, axis=-1)
+    differs = motors.clearly_differ
     if not any_true(differs):
         return differs
     strength = np.maximum(strength, SHOWN * motors.shown_change)
@@ -90,7 +90,7 @@ class Regulator(NamedTuple):
     products: Floats  # R, (n, 3 N + 1, 2 N)
     last: Floats  # u₋, (n, N)
     value: Floats  # P, (n, 3 N + 1, 3 N + 1)
-    fit: Floats  # (A, T)ᵀ, (n, 3 N + 1, 2 N)
+    fit: Floats  # (A, T)ᵀ, as given until motors differ, (n, 3 N + 1, 2 N)
     errors: Floats  # Σ y yᵀ of y = (1, (u − u₋)², r²), (n, N, 3, 3)
 
     @classmethod
@@ -144,7 +144,7 @@ class Regulator(NamedTuple):
 
     @property
     def doubt(self) -> Floats:
-        """By how much square errors grow with the square change of a command: κ, (n, N)."""
+        """κ: how much the square error of a turn grows with that of a command's change, (n, N)."""
         count = np.maximum(self.errors[..., 0, 0], 1.0)
         means = self.errors[..., 0] / count[..., None]
         about_means = self.errors - count[..., None, None] * means[..., None] * means[..., None, :]
@@ -183,8 +183,8 @@ class Regulator(NamedTuple):
             model[..., size:] *= ~held[:, None]
         forward, effect = model[..., :size], model[..., size:]
 
-        doubted = self.doubt * np.diagonal(self.value, axis1=-2, axis2=-1)[:, d]
-        smooth = (SMOOTH + doubted)[..., None] * eye
+        caution = self.doubt * np.diagonal(self.value, axis1=-2, axis2=-1)[:, d]
+        smooth = (SMOOTH + caution)[..., None] * eye
         ahead = np.swapaxes(effect, -1, -2) @ self.value
         response = ahead @ forward
         response[..., last] -= smooth

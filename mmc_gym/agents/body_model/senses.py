@@ -269,12 +269,12 @@ class Senses(NamedTuple):
     def _relate(
         self, seen: Seen, interface: ReachInterface
     ) -> tuple[Delay, Bools, tuple[Floats, Floats, Bools]]:
-        """Return the delay after an observation, whether that was seen before, and the history.
+        """Return the delay, whether the observation was seen before, (n,), and the history with it.
 
-        A moving arm never looks the same twice, so an observation that was seen before tells
-        nothing new, and the arm is seen later by a control step.  It was seen even before the last
-        one if it stays later.  If it only repeats the last one, the next tells by its turn, and by
-        the speeds, whether what was between is lost or still to come.
+        A moving arm never looks the same twice, so an observation that was seen before is late by
+        one control step more.  If it repeats an older one than the last, the delay has grown.  If
+        it repeats the last one, the next observation shows, by turn and speeds, whether the one
+        between is lost or still to come.
         """
         angles, delay = seen.joint_angles, self.delay
         row = np.concatenate([angles, seen.joint_speeds, seen.hand], axis=-1)
@@ -430,7 +430,7 @@ class TargetTrack(NamedTuple):
         )
 
     def filter(self, target: Points, control_step: float) -> TargetTrack:
-        """Return the estimate after one more observation, a control step later."""
+        """Return the track after targets were seen once more, (n,), a control step later."""
         age, seen = self.age + 1, self.seen + 1
         stays = np.abs(target[:, None] - self.history).max(axis=-1) < SAME
         stays &= self.velocity == 0
@@ -487,7 +487,7 @@ class TargetTrack(NamedTuple):
         return (self.seen >= SETTLED) & (far > TARGET_JUMP + usual)
 
     def _noise_after(self, target: Points) -> Floats:
-        """Return the estimate of σ² after one more observation of a smooth movement."""
+        """Return the variance σ² of the noise of targets after one more observation, (n,)."""
         oldest, older, last = self.history.T
         third = squared(target - 3 * last + 3 * older - oldest) / 40
         rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
@@ -589,7 +589,7 @@ class Delay(NamedTuple):
     def run_forward(
         self, interface: ReachInterface, joint_angles: Floats, turn: Floats, motors: Motors
     ) -> tuple[Floats, Floats]:
-        """Predict where joints are now, and their turn, from when they were last seen."""
+        """Return joint angles and last turns of now, by the commands since they were last seen."""
         for back in range(int(self.late.max()), 0, -1):
             asked = commanded_turn(interface, joint_angles, self.commands[:, -back])
             after = motors.expected(turn, asked, full_turn(interface))
