@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, network_of_body
-from mmc_gym.agents.body_model.body import PLACE_RATE, Body, Locks
+from mmc_gym.agents.body_model.body import Body, Locks
+from mmc_gym.agents.body_model.forward_model import RATE
 from mmc_gym.agents.body_model.imagination import settle_network
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY
@@ -120,7 +121,7 @@ class KnownBody(BodyAgent):
         place = state.locks.place
         place = np.where((since <= 0)[:, None], by_now, place)
         place = np.where((since == late)[:, None], seen, place)
-        place = np.where((since > late)[:, None], place + PLACE_RATE * (seen - place), place)
+        place = np.where((since > late)[:, None], place + RATE * (seen - place), place)
         is_locked = np.zeros(place.shape, bool)
         is_locked[:, self.locked] = (since >= 0)[:, None]
         changed = is_locked & ((since == 0) | (since == late))[:, None]

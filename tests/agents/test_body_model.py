@@ -288,24 +288,6 @@ def test_a_push_is_seen_in_the_speeds_of_joints_and_actions_undo_it(push):
     np.testing.assert_array_equal(response.send(-np.ones((1, 2)), undoes=True)[0], -1.0)
 
 
-@pytest.mark.parametrize("control", ["joint_delta", "joint_velocity"])
-def test_an_arm_waits_for_a_first_posture_that_lacks_no_number_but_not_for_ever(control):
-    envs = gym.make_vec("MMCReach-v0", 3, control=control, engine="analytic")
-    interface = ReachInterface.of(envs)
-    agent, state, angles = mmc_body(interface), None, []
-    observations, _ = envs.reset(seed=3)
-    for step in range(13):
-        angles.append(interface.see(observations).joint_angles)
-        observations[0, 1] = 0.0  # a cosine of the first arm, for ever
-        observations[1, 4] *= step > 2  # a sine of the second, three times
-        action, state = agent.predict(observations, state)
-        observations, *_ = envs.step(action)
-    assert state.waits.tolist() == [10.0, 3.0, 0.0] and state.looks.tolist() == [3.0, 10.0, 13.0]
-    moved = np.abs(np.array(angles) - angles[0]).max(axis=-1)  # of each step and arm
-    assert (moved[:11, 0] < 1e-3).all() and (moved[:4, 1] < 1e-3).all()
-    assert (moved[4, 2] > 0.05) and (moved[-1] > 0.05).all()
-
-
 def test_an_angle_that_lacks_a_number_is_where_it_is_expected():
     envs = gym.make_vec("MMCReach-v0", 20, engine="analytic")
     interface = ReachInterface.of(envs)

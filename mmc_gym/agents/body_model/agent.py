@@ -29,8 +29,8 @@ from typing_extensions import override
 
 from mmc_gym.agents.base import FeedbackAgent, all_true, any_true, of_arms, where
 from mmc_gym.agents.body_model import spatial
-from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
-from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
+from mmc_gym.agents.body_model.body import Body, BodyEvidence, Locks
+from mmc_gym.agents.body_model.drive import FULL_LEAD, STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.forward_model import (
     Bools,
     Response,
@@ -67,14 +67,12 @@ AT_LIMIT = 0.05  # a joint nearer to its limit may be stopped by it, radians
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 EXACT = 0.002  # noise of joint angles from which on they are not seen exactly, radians
 BETWEEN = -1  # looks of a state between two movements
-LONGEST_WAIT = 10.0  # observations that an arm waits at most for a first posture that is whole
 
 
 class BodyState(NamedTuple):
     """State of the agent: the number of observations so far, and that of each part."""
 
     looks: Floats  # (n,)
-    waits: Floats  # observations before, in which the posture was not whole, (n,)
     senses: Senses
     evidence: BodyEvidence
     locks: Locks
@@ -122,7 +120,6 @@ class BodyAgent(FeedbackAgent[BodyState]):
         arms, joints = joint_angles.shape
         return BodyState(
             looks=np.zeros(arms),
-            waits=np.zeros(arms),
             senses=Senses.start(self.interface, sensed),
             evidence=BodyEvidence.start(self.interface.segment_lengths, arms),
             locks=Locks.start(joint_angles),
@@ -171,14 +168,6 @@ class BodyAgent(FeedbackAgent[BodyState]):
         if self.has_own_act:
             action, response = state.response.send(action, self.finds_faults)
             state = state._replace(response=response)
-        if lost is not None:  # an episode begins with the first posture that lacks no number
-            lacks = (state.looks == 1) & lost[:, : now.joint_angles.shape[-1]].any(axis=-1)
-            lacks &= state.waits < LONGEST_WAIT
-            if any_true(lacks):
-                looks, waits = np.where(lacks, BETWEEN, state.looks), state.waits + lacks
-                state = state._replace(looks=looks, waits=waits)
-                hold = self.interface.act(now.joint_angles, now)
-                action = np.where(lacks[:, None], hold, action)
         return action, state
 
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
@@ -201,7 +190,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         """Return the state with new movements begun from what was learned in earlier ones."""
         between = state.looks == BETWEEN
         if any_true(between):
-            fresh = self.start(seen)._replace(memory=state.memory, waits=state.waits)
+            fresh = self.start(seen)._replace(memory=state.memory)
             state = where(between, fresh, state)
         begins, given_lengths = state.looks == 0, state.evidence.given_body.lengths
         places = as_points(seen.hand), as_points(seen.target)
@@ -394,7 +383,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             joint_targets = now + left
         if problem.held is not None:
             # A drive of the environment would move other joints, too, against a joint pushed.
-            push = 0.0 if interface.has_drive else PUSH
+            push = 0.0 if interface.has_drive else FULL_LEAD
             pushed = state.locks.place + push * np.sign(state.locks.commanded)
             joint_targets = np.where(problem.held, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)

@@ -7,8 +7,8 @@
 
 Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
 that is turned about the base; one length; all lengths; all lengths and the angle; and each of these
-with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  If none fits, all are
-tried for the mirror image of x.  Running sums over the observations,
+with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  All are tried for the
+mirror image of x, too.  Running sums over the observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
 
@@ -55,6 +55,7 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true, of_arms, where
 from mmc_gym.agents.body_model.forward_model import (
+    RATE,
     Bools,
     Points,
     as_vectors,
@@ -69,34 +70,26 @@ FORGET = 0.005  # share of the sums that is forgotten in a control step
 EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
-LEAST_RATIO, LARGEST_RATIO = 0.25, 5.0  # of accepted lengths to the given lengths
 # Observations after which hypotheses are compared in every fourth control step only, and mirrored
 # cursors in every 16th.
 FREQUENT = 12
-OFFSET_RATE = 0.1  # rate at which the offset follows the errors
 MIRROR_PARAMETERS = 2  # number of free parameters that a mirrored cursor counts as
-CLEAR_ERROR = 0.05**2  # mean square error from which mirrored cursors are tried
 
 SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow new errors
-BEGINS_AT, ENDS_AT = 0.25, 0.75  # ratios of these errors at which a change begins and ends
+BEGINS_AT = 0.25  # ratio of these errors at which a change begins; it ends at 1
 FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
-LARGEST_TREND = 0.1  # largest trend of the cursor, radians (or share of its gain) in a control step
 LOST = 0.3  # square error from which on all that is known is wrong, segment lengths²
-NEAR = 0.05  # squared distance from the centre within which errors count as shifts
 # Weights of five values that give the slope and the end of the least-squares line through them.
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
 LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
 HUMAN_SHARE = 0.25  # share of that turn that is enough at a vigour of 0
-CAUTION = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
 REST_TURN = 0.004  # a joint that turns by less rests, radians
 REST_SHARE = 0.12  # share of the commanded turn by which a resting joint may turn besides
+FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
 REST_SPEED = 0.25  # a faster joint does not rest, rad/s
 REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
-FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
-PLACE_RATE = 0.1  # rate at which the place of a locked joint follows what is seen
-PUSH = 0.6  # how far ahead the target of a locked joint is, radians
 FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none moved
 
 
@@ -147,10 +140,9 @@ class Change(NamedTuple):
         hands = error + (given_body.lengths[:, None] * units).sum(axis=-1)
         seen = _mirrored(hands, best.is_mirrored[:, None]) - best.shift[:, None]
         felt = best.turn[:, None] * (best.lengths[:, None] * units).sum(axis=-1)
-        factors = (seen * felt.conj() + NEAR) / (np.abs(felt) ** 2 + NEAR)
+        factors = (seen * felt.conj() + EXACT) / (squared(felt) + EXACT)
         logs = np.log(factors / factors[:, -1:])
         slope = (SLOPE * logs).sum(axis=-1)
-        slope = slope * np.minimum(1.0, LARGEST_TREND / np.maximum(np.abs(slope), 1e-9))
         turn = factors[:, -1] * np.exp((LEVEL * logs).sum(axis=-1) + slope * steps)
         rest = (LEVEL * (seen - factors * felt)).sum(axis=-1)
         return best._replace(turn=best.turn * turn, shift=best.shift + rest)
@@ -183,7 +175,7 @@ class Change(NamedTuple):
         trend = before.body(best, given_body, 1.0)
         error = squared(hand[failing] - trend.seen(z[failing, :-2]))
         error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
-        limit = np.where(before.is_on, ENDS_AT, BEGINS_AT)
+        limit = np.where(before.is_on, 1.0, BEGINS_AT)
         error_of_trend[failing] = error
         is_on[failing] = error + EXACT < limit * (mean[failing] + EXACT)
         return Change(looks, mean, error_of_trend, is_on)
@@ -234,7 +226,7 @@ class BodyEvidence(NamedTuple):
         z[:, :-2], z[:, -2] = units, error
         w = np.concatenate([hand[:, None], z.conj()], axis=1)
         keep: Any = 1 - FORGET
-        rate = np.maximum(OFFSET_RATE, 1 / age)
+        rate = np.maximum(RATE, 1 / age)
         if any_true(changes):
             keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
             rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
@@ -339,27 +331,27 @@ def hypotheses(g: Floats, h: Points, given_lengths: Floats) -> tuple[Floats, Poi
 
 
 def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats) -> Body:
-    """Return the best hypothesis for each arm; mirrored only where `mirrors`, and no other fits."""
+    """Return the best hypothesis for each arm; mirrored only where `mirrors`, (n,)."""
     to_hand = np.eye(len(given_lengths) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given_lengths
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
-    least, error, body = _fit(sums, given_lengths)
-    unclear = np.flatnonzero(mirrors & (error > CLEAR_ERROR))
-    if len(unclear):
-        sums = sums[unclear]  # of the mirror image of x, too
-        sums[:, :-2, -2] = mirrored[unclear].conj()
+    least, body = _fit(sums, given_lengths)
+    tried = np.flatnonzero(mirrors)
+    if len(tried):
+        sums = sums[tried]  # of the mirror image of x, too
+        sums[:, :-2, -2] = mirrored[tried].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
-        least = least[unclear] - MIRROR_PARAMETERS * _penalty(sums)
-        mirrored_least, _, mirrored_body = _fit(sums, given_lengths)
+        least = least[tried] - MIRROR_PARAMETERS * _penalty(sums)
+        mirrored_least, mirrored_body = _fit(sums, given_lengths)
         is_better = mirrored_least < least
         mirrored_body = mirrored_body._replace(is_mirrored=is_better)
         for field, mirrored_field in zip(body, mirrored_body, strict=True):
-            field[unclear[is_better]] = mirrored_field[is_better]
+            field[tried[is_better]] = mirrored_field[is_better]
     return body
 
 
-def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Floats, Body]:
-    """Return the least criterion for each arm, and the mean square error and body behind it.
+def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Body]:
+    """Return the least criterion for each arm, and the body behind it.
 
     Rows and columns of `sums` are for u_1 … u_N, x and 1; symbols are those of the module.
     """
@@ -379,17 +371,16 @@ def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Floats, Body]:
     parameters = parameters[:, None, None] + 2 * is_shifted
     criterion = count * np.log((error + EXACT) / (count + 1))
     criterion += parameters * _penalty(sums)
-    ratio = lengths / given_lengths
-    is_absurd = ~((ratio > LEAST_RATIO) & (ratio < LARGEST_RATIO)).all(axis=-1)
+    is_absurd = (lengths <= 0).any(axis=-1)
     criterion = np.where(is_absurd, np.inf, criterion).reshape(-1, len(sums))
 
     arms = np.arange(len(sums))
     best = criterion.argmin(axis=0), arms
-    least, error, turn, shift = (
-        values.reshape(criterion.shape)[best] for values in (criterion, error, turn, shift)
+    least, turn, shift = (
+        values.reshape(criterion.shape)[best] for values in (criterion, turn, shift)
     )
     lengths = lengths.reshape(*criterion.shape, -1)[best]
-    return least, error / count, Body(lengths, turn, shift, is_mirrored=arms < 0)
+    return least, Body(lengths, turn, shift, is_mirrored=arms < 0)
 
 
 def _penalty(sums: Points) -> Floats:
@@ -404,13 +395,12 @@ class Locks(NamedTuple):
     commanded: Floats  # sum of the turns commanded while the joint rests there, radians
     is_locked: Bools  # whether the joint is taken as locked
     has_changed: Bools  # whether `is_locked` changed with the last observation
-    was_wrong: Bools  # whether the joint was ever taken as locked, but turned
 
     @classmethod
     def start(cls, joint_angles: Floats) -> Locks:
         """Return locks with all joints free, at joint angles (n, N)."""
         free = np.zeros(joint_angles.shape, bool)
-        return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
+        return cls(joint_angles, np.zeros_like(joint_angles), free, free)
 
     def identify(self, step: LastStep, vigour: float = 1.0) -> Locks:
         """Return the locks after a control step."""
@@ -432,11 +422,9 @@ class Locks(NamedTuple):
             place = np.where(moves, seen, self.place)
             return self._replace(place=place, commanded=commanded, has_changed=may_lock)
 
-        was_wrong = self.was_wrong | is_freed
-        enough = (least + LOCKED_AFTER_PER_NOISE * noise) * np.where(was_wrong, CAUTION, 1.0)
-        locks = rests & (np.abs(commanded) > enough)
+        locks = rests & (np.abs(commanded) > least + LOCKED_AFTER_PER_NOISE * noise)
         stays_locked = self.is_locked & ~is_freed
         is_locked = stays_locked | locks
         place = np.where(moves | locks, seen, self.place)
-        place = np.where(stays_locked, self.place + PLACE_RATE * (seen - self.place), place)
-        return Locks(place, commanded, is_locked, is_locked != self.is_locked, was_wrong)
+        place = np.where(stays_locked, self.place + RATE * (seen - self.place), place)
+        return Locks(place, commanded, is_locked, is_locked != self.is_locked)

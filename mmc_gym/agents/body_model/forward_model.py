@@ -29,6 +29,9 @@ from mmc_gym.interface import ReachInterface
 Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]
 
+RATE = 0.1  # rate at which running means follow what is seen, in a control step
+SAME = 1e-5  # resolution of what is seen (float32), radians or segment lengths
+
 RESPONSE_RIDGE = np.diag([1e-6, 1e-6, 1e-3])  # weights of a = 1, b = 0 and c = 0
 LEAST_EFFECT = 0.01  # square of b that is as good as none, (rad/s)²
 STEADY = np.array([1.0, 0.0, 0.0])

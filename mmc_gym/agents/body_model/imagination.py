@@ -41,11 +41,8 @@ SPREAD = 1.0  # distance of the starts from the present posture, radians
 SETTLE = 30  # iterations in which the copies settle
 FOLLOW = 6  # iterations per control step in which the chosen posture follows the target
 ON_TARGET = 0.002  # an imagined hand that is nearer to the target has settled, segment lengths
-LEAST_GAIN = 0.1  # an imagined posture replaces the goal if it is cheaper by more, radians
 REACH_MARGIN = 1e-3  # distance of targets from the borders of the reach, segment lengths
-TOTAL_WEIGHT = 0.05  # weight of the sum of all turns; that of the farthest one is 1
-FREE_MISS = 0.01  # a posture may miss the target by so much without a cost, segment lengths
-MISS_COST = 20.0  # cost of what it misses beyond that, radians per segment length
+MISS_COST = 20.0  # cost of what a posture misses the target by, radians per segment length
 LIMIT_SLACK = 1e-6  # a joint that is farther beyond a limit is held there, radians
 DAMPING = 0.1  # λ of damped least squares, segment lengths
 LONGEST_ERROR = 0.5  # longest error that counts in damped least squares, segment lengths
@@ -150,7 +147,7 @@ class Imagination:
         """Return the goal postures, or the best imagined ones where these are better, (n, N)."""
         postures, costs = self.imagine(problem)
         cheapest = costs.argmin(axis=0), np.arange(len(goal))
-        is_better = costs[cheapest] < self.cost(problem, goal) - LEAST_GAIN
+        is_better = costs[cheapest] < self.cost(problem, goal)
         return np.where(is_better[:, None], postures[cheapest], goal)
 
     def imagine(self, problem: ReachProblem) -> tuple[Floats, Floats]:
@@ -169,10 +166,10 @@ class Imagination:
         """Return the cost of turning to postures (..., n, N), radians, (..., n)."""
         turns = np.abs(self.interface.turn(problem.joint_angles, postures))
         missed = np.abs(hand(postures, problem.lengths) - problem.aim)
-        cost: Floats = turns.max(axis=-1) + TOTAL_WEIGHT * turns.sum(axis=-1)
+        cost: Floats = turns.max(axis=-1)
         if self.interface.has_drive:  # the effort counts, and not when the last joint arrives
             cost = np.sqrt((turns * turns).sum(axis=-1))
-        return cost + MISS_COST * np.maximum(missed - FREE_MISS, 0.0)
+        return cost + MISS_COST * missed
 
 
 def start_offsets(joints: int) -> Floats:

@@ -35,7 +35,6 @@ CHANGE = 0.2  # V: change of a turn from which on torque may be at its limit, fu
 RATE = 0.2  # rate of the running squares
 WORSE = 4.0  # ratio of the given servo's square error to that learned from which on the latter acts
 STAYS = 0.25  # and down to which it still does
-LARGEST = 0.5  # largest square, full turns squared
 SMALL = 2e-4  # square error that is as good as none, full turns squared
 OTHER = 2e-3  # square error of a motor that clearly is not the given servo, full turns squared
 LEAST_STRENGTH = 0.12  # |g| of a motor that is used: a weaker one is locked
@@ -48,14 +47,15 @@ class Motors(NamedTuple):
     squares: Floats  # S, (n, N, 3, 3)
     products: Floats  # r, (n, N, 3)
     fit: Floats  # a, g and b, (n, N, 3)
-    running: Floats  # squares: errors as given, and as learned; changes of the turn, (n, N, 3)
+    running: Floats  # mean squares: errors as given, and as learned; changes of the turn, (n, N, 3)
     is_learned: Bools  # whether what is learned is used, (n, N)
 
     @classmethod
     def start(cls, arms: int, joints: int) -> Motors:
         """Return what is known before a movement."""
         sums = np.zeros((arms, joints, 3))
-        return cls(np.zeros((*sums.shape, 3)), sums, sums + GIVEN, sums, sums[..., 0] > 0)
+        squares = np.zeros((*sums.shape, 3))
+        return cls(squares, sums, sums + GIVEN, sums, sums[..., 0] > 0)
 
     def observe(
         self, before: Floats, commanded: Floats, turn: Floats, strength: Floats, counts: Bools
@@ -70,13 +70,11 @@ class Motors(NamedTuple):
         given, learned = (x * GIVEN).sum(axis=-1), (x * self.fit).sum(axis=-1)
         most: Floats = np.maximum(strength, LEAST_CHANGE)
         limited = before + bounded(given - before, most)
-        weight = counts / (1 + ((learned - before) / CHANGE) ** 2)
         error = turn - given
         sizes[..., 0] = np.minimum(np.abs(error), np.abs(turn - limited))
         sizes[..., 1], sizes[..., 2] = turn - learned, turn - before
-        weight = weight[..., None]
-        squared = np.minimum(sizes * sizes, LARGEST)
-        running = self.running + RATE * weight * (squared - self.running)
+        weight = (counts / (1 + ((learned - before) / CHANGE) ** 2))[..., None]
+        running = self.running + RATE * weight * (sizes * sizes - self.running)
         keep, weighted = np.where(counts, KEEP, 1.0)[..., None], weight * x
         squares = keep[..., None] * self.squares + weighted[..., None] * x[..., None, :]
         products = keep * self.products + weighted * error[..., None]

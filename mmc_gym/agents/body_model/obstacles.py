@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import any_true, where
-from mmc_gym.agents.body_model.forward_model import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.forward_model import RATE, Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
@@ -39,7 +39,6 @@ LACKED_TURN = 0.02  # turn that a joint lacks in a control step if the arm is he
 RECENT = 0.6  # share of the sums of speeds that remains after a control step
 INTENDED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
 BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
-FADES = 0.9  # share of that loss which remains after a control step
 TOUCHES_AFTER_BLOW = 3  # control steps of small r until a point that lost speed is in contact
 TOUCHES = 16  # the same of any other point
 RADIUS = 0.28  # radius of an obstacle, with half the thickness of a segment, segment lengths
@@ -48,7 +47,7 @@ NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
 
 DISC_MARGIN = 0.02  # distance kept from a disc, segment lengths
 STAGES = np.arange(1, 17) / 16  # shares of a leg at which it is checked
-EVERYWHERE = 64  # number of postures in the map
+EVERYWHERE = 32  # number of postures in the map
 HAZARD = 0.1  # cost of moving the ends of segments, radians per length
 LEGS = 5  # largest number of legs of a route
 ARRIVED = 0.3  # a leg is over when no joint is farther from its end, radians
@@ -108,7 +107,8 @@ class Contacts(NamedTuple):
         total = RECENT * self.intended + np.abs(intended)
         moved = RECENT * self.actual + np.abs(actual)
         is_at_rest = (total > INTENDED_WAY) & (moved < STOPPED_RATIO * total)
-        rests, blow = np.where(is_at_rest, self.rests + 1, 0.0), np.maximum(FADES * self.blow, lost)
+        rests = np.where(is_at_rest, self.rests + 1, 0.0)
+        blow = np.maximum((1 - RATE) * self.blow, lost)
         return self._replace(intended=total, actual=moved, blow=blow, rests=rests)
 
     def _point_of_contact(self) -> tuple[Bools, NDArray[np.intp]]:

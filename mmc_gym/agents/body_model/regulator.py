@@ -57,14 +57,13 @@ from mmc_gym.geometry import Floats
 # What the given servo makes of v and of u, as shares in v′ and in t: A₀ and T₀.
 GIVEN_OF_SPEED, GIVEN_OF_COMMAND = (0.19, 0.3), (0.77, 0.65)
 RIDGE = 0.1  # Λ, in full turns squared
-KEEP = 0.98  # λ: share of the sums that is left after a control step
-KEEP_ERRORS = 0.95  # the same of the sums that κ follows from
 LEAST = 1e-9  # spread of the changes that is as good as none, full turns⁴
+SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
 SMOOTH = 0.05  # ρ where κ is 0, segment lengths²
+KEEP_ERRORS = 0.95  # the same of the sums that κ follows from
+KEEP = 0.98  # λ: share of the sums that is left after a control step
 POSTURE = 0.1  # ε, segment lengths²
 NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its turn
-SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
-WEAK = 0.025  # least strength, full turns: a weaker motor is at the limit of its torque here, too
 
 
 def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) -> Bools:
@@ -78,7 +77,7 @@ def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) 
     if not any_true(differs):
         return differs
     strength = np.maximum(strength, SHOWN * motors.shown_change)
-    is_near = (np.abs(left) < NEAR * strength) & (strength > WEAK)
+    is_near = np.abs(left) < NEAR * strength
     acts: Bools = differs & np.all(is_near | is_locked, axis=-1)
     return acts
 

@@ -51,6 +51,8 @@ import numpy as np
 
 from mmc_gym.agents.base import all_true, any_true, where
 from mmc_gym.agents.body_model.forward_model import (
+    RATE,
+    SAME,
     Bools,
     Points,
     as_points,
@@ -68,29 +70,22 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
 SLIP = 0.7  # share of a joint's difference from its commanded turn that remains a step later
 SERVO_ERROR = 0.05  # error of a commanded turn, as a share of it
-LEAST_ERROR = 1e-4  # least error of a commanded turn, radians
-BIAS_RATE = 0.1  # rate at which the mean of the innovations follows them
-BIASED = 9 * BIAS_RATE / (2 - BIAS_RATE)  # (three standard deviations of that mean)², per variance
+BIASED = 9 * RATE / (2 - RATE)  # (three standard deviations of that mean)², per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
-NOISE_RATE = 0.1  # rate at which the estimates of noise follow the observations
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
 JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
 TARGET_JUMP = 0.15  # a target that is farther from its prediction has jumped, segment lengths
 SETTLED = 4  # observations after a jump until the third difference is noise alone
-SAME = 1e-5  # resolution of observed positions (float32), segment lengths
 
 LONGEST_DELAY = 32  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
-ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
 REVEALED = 0.15  # one that was seen at rest and moves by more was hidden until now, likewise
-SAME_PLACE = 1e-5  # a hand that moves by less is seen where it was: rounding, likewise
+ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
 TURNED = 1e-3  # a turn of a joint that moves the hand, radians
 TURNED_PER_NOISE = 4.0  # what noise of the joint angles adds to it
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
-LATER = 1e-3  # square turns by which one step explains a turn better than several, full turns
-EARLY = 6  # observations in which noise may still be taken for a movement
 
 
 class Senses(NamedTuple):
@@ -130,7 +125,7 @@ class Senses(NamedTuple):
     def look(self, seen: Seen) -> Senses:
         """Return the senses after the first look at the hand."""
         hand = as_points(seen.hand)
-        is_hidden = self._hides(hand, seen.joint_angles, self.posture)
+        is_hidden = self._hides(hand, seen.joint_angles)
         return self._replace(hand=hand, is_hidden=is_hidden)
 
     def complete(self, seen: Seen, lost: Bools, offset: Floats, step: float) -> Seen:
@@ -156,12 +151,12 @@ class Senses(NamedTuple):
         target = np.where(lost[:, -1], expected, target)
         return Seen(angles, as_vectors(target), speeds, as_vectors(hand))
 
-    def _hides(self, hand: Points, joint_angles: Floats, posture: PostureTrack) -> Bools:
+    def _hides(self, hand: Points, joint_angles: Floats) -> Bools:
         """Return which hands are hidden, (n,): seen where they were, although the joints turn."""
-        is_hidden = np.abs(hand - self.hand) < SAME_PLACE
+        is_hidden = np.abs(hand - self.hand) < SAME
         if any_true(is_hidden):
             turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
-            noise = posture.deviation[:, 0]
+            noise = self.posture.deviation[:, 0]
             is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
         return is_hidden
 
@@ -190,7 +185,7 @@ class Senses(NamedTuple):
             posture, hidden = self._at_onset(seen, posture, interface.control_step)
         if any_true(repeats):
             posture = self._after_repeats(seen, posture, is_again, interface.control_step)
-        if not all_true(posture.age > EARLY) or not delay.is_known:
+        if not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
             delay = delay.estimate(self.posture, posture, moved, is_sharp, hidden)
@@ -202,7 +197,7 @@ class Senses(NamedTuple):
         if delay.may_lag:
             likely = posture.likely[:, None]
             postures = np.concatenate([postures[:, 1:], likely], axis=1)
-        is_hidden = self._hides(hand, joint_angles, posture)
+        is_hidden = self._hides(hand, joint_angles)
         is_regular = ~repeats
         step = LastStep(
             before=self.posture,
@@ -291,7 +286,7 @@ class Senses(NamedTuple):
             step = interface.control_step / 2 * (seen.joint_speeds + self.posture.speeds)
             steps = 1 + self.repeats[:, None]
             nearer = (turned - steps * step) ** 2 - (turned - step) ** 2
-            lost = ends & (nearer.sum(axis=-1) < LATER * full_turn(interface) ** 2)
+            lost = ends & (nearer.sum(axis=-1) < 0)
             late = np.where(is_again, np.minimum(late + 1, LONGEST_DELAY), late)
             late = np.where(lost, np.maximum(late - self.repeats, 0), late)
             delay = delay._replace(late=late, late_sight=delay.late_sight + late - delay.late)
@@ -355,15 +350,15 @@ class PostureTrack(NamedTuple):
         if not any_true(is_noisy):
             return self.accept(joint_angles, speeds)
         median = np.maximum(median, 0.0)
-        rate = np.maximum(NOISE_RATE, 1 / self.age)
+        rate = np.maximum(RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         of_speeds = (unclear * unclear).sum(axis=-1, keepdims=True) / unclear.shape[-1]
         of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
-        of_command += LEAST_ERROR**2
+        of_command += SAME**2
         share = of_speeds / (of_speeds + of_command)
         turn = turn + share * (commanded - turn)
         innovation = wrap_angle(joint_angles - self.joint_angles - turn)
-        bias = is_noisy * (self.bias + BIAS_RATE * (innovation - self.bias))
+        bias = is_noisy * (self.bias + RATE * (innovation - self.bias))
         doubt = np.where(self.age == 1, noise, self.doubt) + share * of_command
         doubt = doubt + np.maximum(bias * bias - BIASED * noise, 0.0)
         gain = doubt / (doubt + noise)
@@ -490,7 +485,7 @@ class TargetTrack(NamedTuple):
         """Return the variance σ² of the noise of targets after one more observation, (n,)."""
         oldest, older, last = self.history.T
         third = squared(target - 3 * last + 3 * older - oldest) / 40
-        rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
+        rate = np.maximum(RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
         return self.noise + rate * (third - self.noise)
 
     def accept(self, target: Points) -> TargetTrack:
@@ -561,9 +556,7 @@ class Delay(NamedTuple):
         late = np.where(self.is_felt, self.late, waited)
         is_hidden = ~self.is_seen & ((self.due > LONGEST_DELAY + 1) | (moved > REVEALED))
         late_sight = np.where(self.is_seen, self.late_sight, np.where(is_hidden, late, waited))
-        # In the first observations noise may look like movement, so it must be confirmed.
-        keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
-        is_felt = moves | (self.is_felt & keeps)
+        is_felt = moves | self.is_felt
         due = self.due + (self.due > 0)
         is_seen = self.is_seen | (moved > ONSET_OF_HAND) | is_hidden
         late = np.where(is_seen & is_sharp, np.minimum(late, late_sight), late)

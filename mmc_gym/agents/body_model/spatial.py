@@ -28,7 +28,6 @@ from typing_extensions import override
 from mmc_gym.agents.base import FeedbackAgent, any_true, where
 from mmc_gym.agents.body_model.body import PENALTY
 from mmc_gym.agents.body_model.forward_model import Bools
-from mmc_gym.agents.body_model.imagination import TOTAL_WEIGHT
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.geometry import Floats, damped_least_squares
@@ -177,8 +176,8 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
             if not self.parts.imagines or not beyond.all():
                 break
         turns = np.abs(postures - now)
-        cost = turns.max(axis=-1) + TOTAL_WEIGHT * turns.sum(axis=-1)
-        best: Floats = postures[(cost + MISS_COST_PER_REACH * beyond).argmin()]
+        cost = turns.max(axis=-1) + MISS_COST_PER_REACH * beyond
+        best: Floats = postures[cost.argmin()]
         return best
 
 

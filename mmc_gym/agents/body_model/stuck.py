@@ -24,12 +24,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.agents.body_model.forward_model import RATE, SAME, Bools
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
-STANDS = 1e-5  # a joint or hand that moves by less stands still, radians or segment lengths
-RECENT = 0.9  # share of the sums of square errors that is left after a control step
 BETTER = 0.5  # ratio of these sums below which a sensor is stuck
 EXACT = 1e-5  # sum of square errors that is as good as none, segment lengths²
 STILL = 2.0  # observations in turn without a change after which a sensor may be stuck
@@ -65,7 +63,7 @@ class Stuck(NamedTuple):
         """Return it after an observation."""
         hand, felt = seen.hand, seen.joint_angles
         turn = wrap_angle(felt - self.felt)
-        still = (self.still + 1) * (np.abs(turn) < STANDS)
+        still = (self.still + 1) * (np.abs(turn) < SAME)
         return self._replace(felt=felt, hand=hand, turn=turn, move=hand - self.hand, still=still)
 
     def doubted(self, before: Stuck) -> Bools:
@@ -76,7 +74,7 @@ class Stuck(NamedTuple):
         stands: Bools = (self.still > 0) | (before.still > 0)
         if not any_true(stands):  # as mostly while arms move; then no sensor was stuck, either
             return stands[:, 0]
-        moves = np.any(np.abs(self.move) > STANDS, axis=-1)
+        moves = np.any(np.abs(self.move) > SAME, axis=-1)
         doubted: Bools = (stands.any(axis=-1) & moves) | np.any(before.is_stuck, axis=-1)
         return doubted
 
@@ -98,8 +96,8 @@ class Stuck(NamedTuple):
         lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
         lacks_if_stuck = lacks[:, None] - columns * (commanded - self.turn)[..., None]
         counts = counts[:, None]
-        error = RECENT * self.error + counts * _squared(lacks)[:, None]
-        error_if_stuck = RECENT * self.error_if_stuck + counts * _squared(lacks_if_stuck)
+        error = (1 - RATE) * self.error + counts * _squared(lacks)[:, None]
+        error_if_stuck = (1 - RATE) * self.error_if_stuck + counts * _squared(lacks_if_stuck)
         is_better = error_if_stuck < BETTER * error - EXACT
         is_worse = error < BETTER * error_if_stuck - EXACT
         is_stuck = (self.still > STILL) & (is_better | (self.is_stuck & ~is_worse))
