@@ -608,6 +608,8 @@ FAULTS = [
     "joint-friction-0.9",
     "stuck-sensor-1",
     "stuck-sensor-3",
+    "stuck-sensor-2+motor-gain-0.4",
+    "stuck-sensor-3+dead-zone-0.2",
     "encoder-64",
     "dropped-numbers-0.1",
     "held-numbers-0.4",

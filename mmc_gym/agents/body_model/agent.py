@@ -178,12 +178,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
             senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
-            before, turns = senses.posture.joint_angles, senses.commanded
-            if not self.has_servos:
-                turns = stuck.shown_by_hand(model, before)
-            stuck = where(doubted, stuck.compare(model, before, turns, counts), stuck)
+            commanded = senses.commanded if self.has_servos else None
+            compared = stuck.compare(model, senses.posture.joint_angles, commanded, counts)
+            stuck = where(doubted, compared, stuck)
             if any_true(stuck.is_stuck):
-                seen = stuck.corrected(seen, turns, self.interface.control_step)
+                turn = stuck.offset - state.stuck.offset if commanded is None else commanded
+                seen = stuck.corrected(seen, turn, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:

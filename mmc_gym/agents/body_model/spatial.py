@@ -121,10 +121,11 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         stuck, model = state.stuck.feel(seen), partial(self._see, state)
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
-            turns = stuck.shown_by_hand(model, state.joint_angles)
-            compared = stuck.compare(model, state.joint_angles, turns, state.looks > 0)
+            before = state.joint_angles
+            compared = stuck.compare(model, before, None, state.looks > 0)
             stuck = where(doubted, compared, stuck)
-            seen = stuck.corrected(seen, turns, self.interface.control_step)
+            turn = stuck.offset - state.stuck.offset
+            seen = stuck.corrected(seen, turn, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _see(self, state: SpatialState, joint_angles: Floats) -> tuple[Floats, Floats]:

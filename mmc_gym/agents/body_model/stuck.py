@@ -1,16 +1,20 @@
 """Stuck sensors: joints that are felt to stand still, although the hand says that they turn.
 
-Hand, joints and commands tell one movement three times.  The hand moves by Σ J_i m_i, where joints
-turn by m_i and the columns of the Jacobian are J_i.  If joint j is felt to stand still, but turns
-as its command should turn it, by p_j, it moves by J_j p_j more.  Where that has lately explained
-the hand better, sensor j is stuck.  Its joint then turns by p_j, corrected by what the hand is seen
-to be off by, x:
+Hand, joints and commands tell one movement three times.  The hand should move by Σ J_i m_i, where
+joints turn by m_i and the columns of the Jacobian are J_i, but moves by e more.  A joint j that is
+felt to stand still may really turn by as much as explains e best, p_j, which is at most what its
+command asks of it, c_j:
 
-    θ_j ← θ_j + p_j + J_jᵀx / (Σ |J|² + 0.1) · 0.6        sums over stuck sensors
+    p_j = m_j + J_jᵀe / |J_j|²      between 0 and c_j
 
-If no servo is known, p_j is what the hand says, of the one joint that explains it best:
+Where that has lately left little of e, and less than for other joints that stand still, sensor j is
+stuck, until it moves.  Its joint then turns by its command, and what the hand is seen to be off by,
+x, corrects it:
 
-    p_j = m_j + J_jᵀ(Δx − Σ J_i m_i) / |J_j|²
+    θ_j ← θ_j + c_j + J_jᵀx / Σ |J|²        sum over stuck sensors
+
+If no servo is known, p_j has no bounds.  Then the joint turns by J_jᵀe / Σ |J|² instead of c_j, and
+only a tenth of what is off is corrected.
 
 The hand is in the plane or in space: vectors have 2 or 3 components.
 """
@@ -29,10 +33,7 @@ from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
 BETTER = 0.5  # ratio of these sums below which a sensor is stuck
-EXACT = 1e-5  # sum of square errors that is as good as none, segment lengths²
-STILL = 2.0  # observations in turn without a change after which a sensor may be stuck
-FOLLOWS = 0.6  # rate at which the angle of such a joint follows the hand
-DAMPING = 0.1  # of that, segment lengths²
+EXACT = 3e-5  # sum of square errors that is as good as none, segment lengths²
 NEGLIGIBLE = 1e-3  # square of a joint's distance from the hand that is as good as 0, likewise
 
 HandModel: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
@@ -46,7 +47,7 @@ class Stuck(NamedTuple):
     hand: Floats  # as last seen, (n, d)
     turn: Floats  # how far joints were last felt to turn, (n, N)
     move: Floats  # and how far the hand was seen to move, (n, d)
-    still: Floats  # observations in turn without a change, (n, N)
+    stands: Bools  # whether joints were last felt to stand still, (n, N)
     error: Floats  # recent square errors of the hand's movement if no sensor is stuck, (n, 1)
     error_if_stuck: Floats  # and if one is, (n, N)
     is_stuck: Bools  # (n, N)
@@ -57,21 +58,22 @@ class Stuck(NamedTuple):
         """Return what is known before the first look at the hand."""
         felt = sensed.joint_angles
         zero, hand = np.zeros_like(felt), np.zeros_like(sensed.target)
-        return cls(felt, hand, zero, hand, zero, zero[:, :1], zero, zero > 0, zero)
+        no = zero > 0
+        return cls(felt, hand, zero, hand, no, zero[:, :1], zero, no, zero)
 
     def feel(self, seen: Seen) -> Stuck:
         """Return it after an observation."""
         hand, felt = seen.hand, seen.joint_angles
         turn = wrap_angle(felt - self.felt)
-        still = (self.still + 1) * (np.abs(turn) < SAME)
-        return self._replace(felt=felt, hand=hand, turn=turn, move=hand - self.hand, still=still)
+        move, stands = hand - self.hand, np.abs(turn) < SAME
+        return self._replace(felt=felt, hand=hand, turn=turn, move=move, stands=stands)
 
     def doubted(self, before: Stuck) -> Bools:
         """Return which arms may have a stuck sensor, (n,), if it was so `before` an observation.
 
         A joint stands still, or did so before, while the hand moves; or a sensor was stuck.
         """
-        stands: Bools = (self.still > 0) | (before.still > 0)
+        stands: Bools = self.stands | before.stands
         if not any_true(stands):  # as mostly while arms move; then no sensor was stuck, either
             return stands[:, 0]
         moves = np.any(np.abs(self.move) > SAME, axis=-1)
@@ -84,31 +86,40 @@ class Stuck(NamedTuple):
         contradicts: Bools = self.error[:, 0] > EXACT
         return contradicts | np.any(self.is_stuck, axis=-1)
 
-    def compare(self, model: HandModel, before: Floats, commanded: Floats, counts: Bools) -> Stuck:
+    def compare(
+        self, model: HandModel, before: Floats, commanded: Floats | None, counts: Bools
+    ) -> Stuck:
         """Return it after the hand's movement is compared with that of the joints.
 
-        Joints were at `before`, and should have turned as `commanded`, (n, N); some arms count,
-        (n,).  Only needed for arms that are `doubted`.
+        Joints were at `before`, and should have turned as `commanded`, (n, N), if that is known;
+        some arms count, (n,).  Only needed for arms that are `doubted`.
         """
-        is_watched = np.any(self.still > 0, axis=-1, keepdims=True)
+        is_watched = np.any(self.stands, axis=-1, keepdims=True)
         _, columns = model(before + self.turn / 2)
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
         lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
-        lacks_if_stuck = lacks[:, None] - columns * (commanded - self.turn)[..., None]
+        size = _squared(columns) + NEGLIGIBLE
+        part = (columns * lacks[:, None]).sum(axis=-1) / size
+        if commanded is not None:
+            low, high = np.minimum(commanded, 0), np.maximum(commanded, 0)
+            part = np.clip(self.turn + part, low, high) - self.turn
+        lacks_if_stuck = lacks[:, None] - columns * part[..., None]
         counts = counts[:, None]
         error = (1 - RATE) * self.error + counts * _squared(lacks)[:, None]
         error_if_stuck = (1 - RATE) * self.error_if_stuck + counts * _squared(lacks_if_stuck)
         is_better = error_if_stuck < BETTER * error - EXACT
-        is_worse = error < BETTER * error_if_stuck - EXACT
-        is_stuck = (self.still > STILL) & (is_better | (self.is_stuck & ~is_worse))
-        offset = (self.offset + counts * commanded) * is_stuck
+        standing = np.where(self.stands, error_if_stuck, np.inf)
+        is_better &= error_if_stuck <= standing.min(axis=-1, keepdims=True)
+        is_stuck = self.stands & (is_better | self.is_stuck)
+        offset = self.offset * is_stuck
         if any_true(is_stuck):
-            angles = self.felt + offset
-            hand, columns = model(angles)
-            pulls = columns * is_stuck[..., None]
-            size = _squared(pulls).sum(axis=-1, keepdims=True) + DAMPING
-            pull = (pulls * (self.hand - hand)[:, None]).sum(axis=-1)
-            offset = offset + counts * FOLLOWS * pull / size
+            turn, rate = commanded, 1.0
+            if turn is None:
+                turn, rate = self._pull(columns, is_stuck, lacks), RATE
+            offset = (offset + counts * turn) * is_stuck
+            hand, columns = model(self.felt + offset)
+            pull = self._pull(columns, is_stuck, self.hand - hand)
+            offset = offset + counts * rate * pull
         return self._replace(
             error=error * is_watched,
             error_if_stuck=error_if_stuck * is_watched,
@@ -116,23 +127,16 @@ class Stuck(NamedTuple):
             offset=offset,
         )
 
-    def shown_by_hand(self, model: HandModel, before: Floats) -> Floats:
-        """Return how far joints turned, (n, N), by the hand's movement, if no servo is known.
+    def _pull(self, columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
+        """Return turns of stuck joints, (n, N), that move the hand by an error, (n, d)."""
+        columns = columns * is_stuck[..., None]
+        size = _squared(columns).sum(axis=-1, keepdims=True) + NEGLIGIBLE
+        turns: Floats = (columns * error[:, None]).sum(axis=-1) / size
+        return turns
 
-        Of the joints that stand still, or whose sensor is stuck, the one that explains best what
-        the movement lacks turned so; the others as they are felt to.
-        """
-        _, columns = model(before + self.turn / 2)
-        lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
-        pull, size = (columns * lacks[:, None]).sum(axis=-1), _squared(columns) + NEGLIGIBLE
-        is_known = np.any(self.is_stuck, axis=-1, keepdims=True)
-        explained = pull * pull / size * np.where(is_known, self.is_stuck, self.still > 0)
-        is_best = explained == explained.max(axis=-1, keepdims=True)
-        return self.turn + is_best * pull / size
-
-    def corrected(self, seen: Seen, commanded: Floats, control_step: float) -> Seen:
-        """Return what is seen, with the angles and speeds of joints whose sensors are stuck."""
-        speeds = np.where(self.is_stuck, commanded / control_step, seen.joint_speeds)
+    def corrected(self, seen: Seen, turn: Floats, control_step: float) -> Seen:
+        """Return what is seen, with angles and speeds of joints that `turn`, but are stuck."""
+        speeds = np.where(self.is_stuck, turn / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
 
 
