@@ -652,6 +652,23 @@ def test_targets_that_are_held_are_not_taken_for_noise():
     assert success(episodes(mmc_body, 200, **options)) >= 0.88
 
 
+@pytest.mark.parametrize(
+    ("error", "noise", "turn"),
+    [(0.02, 0.0, 0.02), (0.02, 1e-4, 0.01), (0.04, 0.0, 0.0)],  # the last one is too far
+)
+def test_a_hand_that_is_seen_tells_the_posture_if_noise_explains_where_it_is(error, noise, turn):
+    posture = PostureTrack.start(*np.zeros((2, 1, 3)))._replace(doubt=np.full((1, 3), 1e-4))
+    columns = np.array([[(1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]])
+    after = posture.by_hand(np.array([[error, 0.0]]), columns, np.array([noise]))
+    np.testing.assert_allclose(after, [[turn, 0.0, 0.0]], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_moving_target_is_followed_although_joints_are_noisy():
+    options = {"control": "joint_delta", "engine": "analytic", "perturbations": "joint-noise-0.03"}
+    assert success(episodes(mmc_body, 50, id="MMCReachPursuit-v0", **options)) >= 0.95
+
+
 @cache
 def actions_of(parts, perturbations, control):
     """Actions of an agent of these parts in 10 arms, (steps, arms, 3)."""

@@ -32,6 +32,7 @@ from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.body import Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import FULL_LEAD, STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.forward_model import (
+    SAME,
     Bools,
     Response,
     as_points,
@@ -322,6 +323,13 @@ class BodyAgent(FeedbackAgent[BodyState]):
         posture, speeds = state.senses.posture, seen.joint_speeds
         angles, turn = posture.joint_angles, posture.turn
         delay, interface = state.senses.delay, self.interface
+        if any_true(posture.deviation >= CLEAR):
+            hand, columns = self._body(state, state.evidence.best).hand_model(angles)
+            error, noise = as_vectors(state.senses.hand) - hand, state.senses.target.noise
+            tells = (posture.deviation[:, 0] >= CLEAR) & (delay.lag == 0)
+            tells &= ~state.senses.is_hidden
+            by_hand = posture.by_hand(error, columns, noise)
+            angles = np.where(tells[:, None], by_hand, angles)
         if not any_true(delay.late):
             return angles, speeds, turn
         if not self.has_own_act:
@@ -394,7 +402,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         self, state: BodyState, problem: ReachProblem, left: Floats, before: Floats
     ) -> BodyState:
         """Return the state after targets make the servos turn the joints as they should."""
-        memory, noise = state.memory, state.senses.posture.deviation
+        memory, noise = state.memory, np.sqrt(self._doubt(state))
         turn, drive = self._turn(state, problem, left)
         if self.learns:
             is_early = 2 * drive.elapsed <= drive.duration
@@ -408,6 +416,21 @@ class BodyAgent(FeedbackAgent[BodyState]):
             lead, regulator = self._regulate(state, problem, left, lead, np.flatnonzero(acts))
         drive = drive.send(lead, self.interface)
         return state._replace(drive=drive, memory=memory, regulator=regulator)
+
+    def _doubt(self, state: BodyState) -> Floats:
+        """Return the variance of the joint angles, radians², (n, N) or (n, 1).
+
+        If they are filtered, it is more than the filter takes it for where the hand errs by more
+        than that explains.
+        """
+        posture = state.senses.posture
+        is_clear = posture.deviation < CLEAR
+        if all_true(is_clear):
+            return posture.noise
+        explained = (posture.doubt * self._levers).sum(axis=-1) + 2 * state.senses.target.noise
+        ratio = state.evidence.scatter / (explained + SAME**2)
+        filtered = posture.doubt * np.maximum(1.0, ratio)[:, None]
+        return np.where(is_clear, posture.noise, filtered)
 
     def _regulates(self, state: BodyState, left: Floats) -> Bools:
         """Return which arms the regulator commands, (n,): only those seen as they are, in time."""

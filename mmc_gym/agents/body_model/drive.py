@@ -148,7 +148,7 @@ class Drive(NamedTuple):
     ) -> Floats:
         """Return how far ahead of the joints targets turn them by `turn`.
 
-        Where the angle left may be mere noise (of this standard deviation, (n, 1)), the target is
+        Where the angle left may be mere noise (of this standard deviation, (n, N)), the target is
         the goal itself, because a servo that undoes noise in a control step follows the noise.
         """
         full = 0.97 * interface.speed_limit * interface.control_step

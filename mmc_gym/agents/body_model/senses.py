@@ -15,6 +15,13 @@ its last turn t.  So a Kalman filter weighs both, with Q_m the mean square of Δ
     q̂ ← q̂ + t̂ + K · innovation,     P ← (1 − K) P
 
 Innovations whose running mean is more than noise show a wrong prediction, and its square adds to P.
+The hand tells the posture, too.  If it is seen elsewhere than q̂ takes it, by e, the most likely
+turns are those of a Kalman update with the Jacobian J and the variance R_h of the seen hand,
+
+    P J (Jᵀ P J + R_h)⁻¹ e
+
+unless e is more than P and R_h explain: then the body is not as it is thought to be.  The next
+prediction starts from q̂ without them, because the hand also tells the body.
 
 **Target.**  Third differences of a smooth movement vanish, so those of the target are noise: for
 white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  The better of two
@@ -70,7 +77,8 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
 SLIP = 0.7  # share of a joint's difference from its commanded turn that remains a step later
 SERVO_ERROR = 0.05  # error of a commanded turn, as a share of it
-BIASED = 9 * RATE / (2 - RATE)  # (three standard deviations of that mean)², per variance
+UNLIKELY = 9.0  # (three standard deviations)², per variance
+BIASED = UNLIKELY * RATE / (2 - RATE)  # the same of a running mean
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
@@ -373,6 +381,20 @@ class PostureTrack(NamedTuple):
         turn, age = wrap_angle(joint_angles - self.joint_angles), self.age + 1
         after, seen = self.joint_angles + turn, joint_angles
         return self._replace(joint_angles=after, turn=turn, seen=seen, speeds=speeds, age=age)
+
+    def by_hand(self, error: Floats, columns: Floats, noise: Floats) -> Floats:
+        """Return joint angles, corrected by a hand that is seen elsewhere, by `error`, (n, 2).
+
+        `columns` are the derivatives of the hand by joint angles, (n, N, 2), and `noise` is the
+        variance of the seen hand in each coordinate, (n,).
+        """
+        spread = columns * self.doubt[..., None]
+        variance = (columns[..., None] * spread[..., None, :]).sum(axis=1)
+        variance += (noise + SAME**2)[:, None, None] * np.eye(2)
+        pull = np.linalg.solve(variance, error[..., None])[..., 0]
+        turn = (spread * pull[:, None]).sum(axis=-1)
+        is_likely = (error * pull).sum(axis=-1) < UNLIKELY
+        return self.joint_angles + is_likely[:, None] * turn
 
     @property
     def likely(self) -> Floats:
