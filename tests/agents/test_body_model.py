@@ -621,6 +621,8 @@ FAULTS = [
     "delay-200-over-1",
     "gain-4",
     "rotation-40-at-0.5+rotation--80-at-1",
+    "rotation-40-at-0.5+rotation--80-at-1+rotation-80-at-1.5",
+    "gain-2-over-1.5+rotation--60-over-1",
 ]
 
 

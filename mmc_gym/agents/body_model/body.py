@@ -29,13 +29,14 @@ Bayesian information criterion (Schwarz 1978) with a heavier penalty, because ne
 observations are nearly the same.  A turned cursor, or one changed length, is mostly identified from
 the first observation.  The remaining mean error is added as an offset, unless it is noise.
 
-**Changes.**  Sums that remember a second cannot follow a change within a movement.  So a rival
-also predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits
-the last five hands, with log m on a line in time.  While the rival's errors are clearly smaller,
-the body is taken to change: the rival is used, extrapolated to when a command acts, and the sums
-are forgotten fast (a variable forgetting factor; Fortescue et al. 1981).  Noise is no change,
-because under noise a line through five hands predicts worse than the sums.  Where the hand is
-suddenly far from where the best hypothesis expects it, all begins anew.
+**Changes.** Sums that remember a second cannot follow a change within a movement.  So a rival also
+predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits the
+last five hands, with log m on a line in time.  Once the rival's errors are clearly smaller, the
+body is taken to change until they are larger: the rival is used, extrapolated to when a command
+acts, and the sums are forgotten fast (a variable forgetting factor; Fortescue et al. 1981).  The
+few observations that are left cannot tell lengths, so the rival keeps the hypothesis it began with.
+Noise is no change, because under noise a line through five hands predicts worse than the sums.
+Where the hand is suddenly far from where the best hypothesis expects it, all begins anew.
 
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
@@ -129,23 +130,26 @@ class Change(NamedTuple):
     error: Floats  # mean square error of the best hypothesis, (n,)
     error_of_trend: Floats  # mean square error of the trend, (n,)
     is_on: Bools  # whether the body is taken to change, (n,)
+    base: Body  # the best hypothesis before that
 
-    def body(self, best: Body, given_body: Body, steps: Floats | float) -> Body:
-        """Return the best hypothesis, extrapolated to `steps` control steps after the last look.
+    def body(self, given_body: Body, steps: Floats | float) -> Body:
+        """Return the body, extrapolated to `steps` control steps after the last look.
 
-        Multiplied by factors m (each a turn and a gain) it explains the last hands; log m lies on
-        a line in time.  Near the centre of the turn m is not known, and the rest becomes a shift.
+        `base`, multiplied by factors m (each a turn and a gain), explains the last hands; log m
+        lies on a line in time.  Near the centre of the turn m is not known, and the rest becomes a
+        shift.
         """
+        base = self.base
         units, error = self.looks[..., :-2], self.looks[..., -2]
         hands = error + (given_body.lengths[:, None] * units).sum(axis=-1)
-        seen = _mirrored(hands, best.is_mirrored[:, None]) - best.shift[:, None]
-        felt = best.turn[:, None] * (best.lengths[:, None] * units).sum(axis=-1)
+        seen = _mirrored(hands, base.is_mirrored[:, None]) - base.shift[:, None]
+        felt = base.turn[:, None] * (base.lengths[:, None] * units).sum(axis=-1)
         factors = (seen * felt.conj() + EXACT) / (squared(felt) + EXACT)
         logs = np.log(factors / factors[:, -1:])
         slope = (SLOPE * logs).sum(axis=-1)
         turn = factors[:, -1] * np.exp((LEVEL * logs).sum(axis=-1) + slope * steps)
         rest = (LEVEL * (seen - factors * felt)).sum(axis=-1)
-        return best._replace(turn=best.turn * turn, shift=best.shift + rest)
+        return base._replace(turn=base.turn * turn, shift=base.shift + rest)
 
     def observe(
         self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools, blur: Floats | float
@@ -158,7 +162,7 @@ class Change(NamedTuple):
         zero = np.zeros(len(hand))
         looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
         if all_true(is_given):
-            return Change(looks, zero, zero, zero > 0)
+            return Change(looks, zero, zero, zero > 0, evidence.best)
         error = squared(hand - evidence.best.seen(z[:, :-2]))
         mean = self.error + SURPRISE_RATE * (error - self.error)
         mean[is_given | (evidence.age == 0)] = 0.0
@@ -166,19 +170,19 @@ class Change(NamedTuple):
         fails = (mean > 3 * usual) | (3 * squared(evidence.offset) > usual) | self.is_on
         fails &= ~is_given
         if not any_true(fails):
-            return Change(looks, mean, mean, fails)
+            return Change(looks, mean, mean, fails, evidence.best)
         failing = np.flatnonzero(fails)
         error_of_trend, is_on = mean.copy(), zero > 0
-        before = of_arms(self, failing)
-        best = of_arms(evidence.best, failing)
+        base = where(self.is_on, self.base, evidence.best)
+        before = of_arms(self._replace(base=base), failing)
         given_body = of_arms(evidence.given_body, failing)
-        trend = before.body(best, given_body, 1.0)
+        trend = before.body(given_body, 1.0)
         error = squared(hand[failing] - trend.seen(z[failing, :-2]))
         error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
         limit = np.where(before.is_on, 1.0, BEGINS_AT)
         error_of_trend[failing] = error
         is_on[failing] = error + EXACT < limit * (mean[failing] + EXACT)
-        return Change(looks, mean, error_of_trend, is_on)
+        return Change(looks, mean, error_of_trend, is_on, base)
 
 
 class BodyEvidence(NamedTuple):
@@ -204,7 +208,7 @@ class BodyEvidence(NamedTuple):
         zero, origin, joints = np.zeros(arms), np.zeros(arms, complex), len(lengths)
         looks, sums = (np.zeros((arms, rows, joints + 2), complex) for rows in (5, joints + 3))
         given_body = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin, zero > 0)
-        change = Change(looks, zero, zero, zero > 0)
+        change = Change(looks, zero, zero, zero > 0, given_body)
         return cls(zero, sums, given_body, given_body, origin, zero, best=given_body, change=change)
 
     def add(
@@ -270,12 +274,12 @@ class BodyEvidence(NamedTuple):
             return self.best
         changing = np.flatnonzero(self.change.is_on)
         change = of_arms(self.change, changing)
-        best = of_arms(self.best, changing)
         given_body = of_arms(self.given_body, changing)
-        turn, shift = self.best.turn.copy(), self.best.shift.copy()
-        after = change.body(best, given_body, steps[changing])
+        body = where(self.change.is_on, self.change.base, self.best)
+        turn, shift = body.turn.copy(), body.shift.copy()
+        after = change.body(given_body, steps[changing])
         turn[changing], shift[changing] = after.turn, after.shift
-        return self.best._replace(turn=turn, shift=shift)
+        return body._replace(turn=turn, shift=shift)
 
     def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
         if all_true(is_given):
