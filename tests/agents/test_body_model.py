@@ -206,7 +206,7 @@ def test_noise_of_the_joints_is_neither_a_delay_nor_a_change():
 def last_step(before, after, commanded):
     yes = np.array([True])
     turn = np.array([commanded])
-    return LastStep(before, after, turn, turn, is_felt=yes, is_clear=yes)
+    return LastStep(before, after, turn, turn, is_felt=yes, is_timely=yes)
 
 
 def locks_after(turns, commanded, vigour=1.0):
@@ -312,10 +312,11 @@ HELD = np.array([[0.05, 0.0, -0.25]])
 
 def touched(contacts, turn=HELD, before=None, joint_angles=(0.0, 0.0, 0.0)):
     """The memory after an arm of three unit segments makes a turn instead of the commanded one."""
-    start = PostureTrack.start(np.array([joint_angles]), turn / STEP)
-    before = start._replace(turn=turn if before is None else before)
-    step = last_step(before, start._replace(turn=turn), (0.1, 0.0, 0.0))
-    return contacts.locate(step, np.ones((1, 3)), np.array([True]))
+    speeds = turn / STEP, (turn if before is None else before) / STEP
+    after, before = (PostureTrack.start(np.array([joint_angles]), speed) for speed in speeds)
+    after = after._replace(speeds=2 * speeds[0] - speeds[1])  # it turns by the mean of both
+    step = last_step(before, after, (0.1, 0.0, 0.0))
+    return contacts.locate(step, np.ones((1, 3)), np.array([True]), STEP)
 
 
 @pytest.mark.parametrize(
@@ -616,6 +617,7 @@ FAULTS = [
     "locked-1-at-0.2-until-1",
     "joint-damping-0.3",
     "repeated-observations-0.9",
+    "hand-mass-5+joint-noise-0.03",
     "delay-100-at-0.1",
     "delay-160-at-0.4",
     "delay-200-over-1",

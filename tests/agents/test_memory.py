@@ -67,9 +67,9 @@ def test_a_field_is_corrected_in_advance():
 def test_contacts_are_looked_for_along_the_arm_that_was_learned(monkeypatch):
     felt, locate = [], Contacts.locate
 
-    def noting(self, step, lengths, counts):
+    def noting(self, step, lengths, *others):
         felt.append(lengths[0])
-        return locate(self, step, lengths, counts)
+        return locate(self, step, lengths, *others)
 
     monkeypatch.setattr(Contacts, "locate", noting)
     parts = Parts(vigour=0.0, rate=(1.0,), retention=(1.0,))

@@ -244,12 +244,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
         drive = drive.estimate_acceleration(step, self.interface, motors)
         contacts = state.contacts
         if self.parts.avoids:
-            counts = step.is_clear & ~locks.is_locked.any(axis=-1)
+            counts = step.is_timely & ~locks.is_locked.any(axis=-1)
             lengths = self._body(state, state.evidence.best).lengths
             if any_true(locks.has_changed):  # a new lock stopped the arm
                 begins = np.any(locks.has_changed & locks.is_locked, axis=-1)
                 contacts = where(begins, Contacts.start(*locks.is_locked.shape), contacts)
-            contacts = contacts.locate(step, lengths, counts)
+            contacts = contacts.locate(step, lengths, counts, self.interface.control_step)
             if any_true(contacts.is_new):
                 is_new = contacts.is_new[:, None]
                 strength = np.where(is_new, STRONGEST, drive.acceleration)

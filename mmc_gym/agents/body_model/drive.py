@@ -64,7 +64,8 @@ class Drive(NamedTuple):
     ) -> Drive:
         """Return the drive with its estimate of joints' accelerations after a control step.
 
-        Only joints that lack much of their commanded speed show how fast they can accelerate.
+        Only joints that lack much of their commanded speed show how fast they can accelerate: more
+        than noise of their angles asks for.
         """
         before, posture = step.before, step.after
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
@@ -74,8 +75,9 @@ class Drive(NamedTuple):
             speed = step.commanded / interface.control_step
             lacked = np.where(motors.is_learned, speed - before.speeds, lacked)
             lacks = np.where(motors.is_learned, speed - speeds, lacks)
-        saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > LACKED_SPEED
-        saturates &= step.is_clear[:, None]
+        least = LACKED_SPEED + gain * posture.deviation
+        saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > least
+        saturates &= step.is_timely[:, None]
         if not any_true(saturates):
             return self
         saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it

@@ -71,16 +71,22 @@ class Contacts(NamedTuple):
         discs = np.full((arms, MOST_DISCS), NOWHERE)
         return cls(discs, sums, sums, sums, sums, located=none, is_new=none > 0)
 
-    def locate(self, step: LastStep, lengths: Floats, counts: Bools) -> Contacts:
-        """Return the memory after a control step of arms that count (`counts`, (n,))."""
-        turn = step.after.turn
+    def locate(
+        self, step: LastStep, lengths: Floats, counts: Bools, control_step: float
+    ) -> Contacts:
+        """Return the memory after a control step of arms that count (`counts`, (n,)).
+
+        How far joints turned follows from their speeds, which are less noisy than their angles.
+        """
+        speeds = step.before.speeds
+        turn = control_step / 2 * (speeds + step.after.speeds)
         lacks = (np.abs(step.commanded - turn).max(axis=-1) > LACKED_TURN) & counts
         if not any_true(lacks):
             return self._released() if any_true(self.intended) or any_true(self.is_new) else self
         units = unit_vectors(step.after.joint_angles)
         intended = _across(units, lengths, step.commanded)
         actual = _across(units, lengths, turn)
-        lost = (_across(units, lengths, step.before.turn) - actual) * np.sign(intended)
+        lost = (_across(units, lengths, control_step * speeds) - actual) * np.sign(intended)
         after = where(lacks, self._pressed(intended, actual, lost), self._released())
         is_new, point = after._point_of_contact()
         after = after._replace(is_new=is_new)

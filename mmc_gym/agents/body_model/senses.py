@@ -80,7 +80,7 @@ SERVO_ERROR = 0.05  # error of a commanded turn, as a share of it
 UNLIKELY = 9.0  # (three standard deviations)², per variance
 BIASED = UNLIKELY * RATE / (2 - RATE)  # the same of a running mean
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
-CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
+CLEAR = 0.01  # noise of the joint angles below which they are taken as they are seen, radians
 
 JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
 TARGET_JUMP = 0.15  # a target that is farther from its prediction has jumped, segment lengths
@@ -213,7 +213,7 @@ class Senses(NamedTuple):
             as_given=turns[0],
             commanded=turns[1],
             is_felt=delay.is_felt & is_regular,
-            is_clear=(delay.late == 0) & (posture.deviation[:, 0] < CLEAR) & is_regular,
+            is_timely=(delay.late == 0) & is_regular,
         )
         return Senses(posture, target, delay, hand, is_hidden, postures, *history, *turns), step
 
@@ -324,7 +324,7 @@ class LastStep(NamedTuple):
     as_given: Floats  # how far the command should have turned joints with the given servos
     commanded: Floats  # and how far, by what is known of the motors
     is_felt: Bools  # whether a movement has been seen in this episode, (n,)
-    is_clear: Bools  # whether the arm is seen in time and without noise, (n,)
+    is_timely: Bools  # whether the arm is seen in time, (n,)
 
 
 class PostureTrack(NamedTuple):
