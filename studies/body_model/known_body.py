@@ -32,7 +32,7 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 
 @dataclass(frozen=True, kw_only=True)
 class KnownServos(ReachInterface):
-    """An interface with the true gain of the servos, whose actions mean what is given."""
+    """An interface with the true servo gain, but the largest joint delta of the nominal servos."""
 
     largest_delta: float
 

@@ -56,7 +56,7 @@ from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.regulator import Regulator, regulates
-from mmc_gym.agents.body_model.senses import CLEAR, LONGEST_DELAY, LastStep, Senses
+from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
@@ -298,7 +298,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             commanded=step.as_given / unit,
             after=step.after.speeds / limit,
             turn=step.after.turn / unit,
-            is_clear=step.after.deviation < CLEAR,
+            is_clear=step.after.is_clear,
             differs=motors.clearly_differ,
         )
         if all_true(is_felt):
@@ -323,11 +323,10 @@ class BodyAgent(FeedbackAgent[BodyState]):
         posture, speeds = state.senses.posture, seen.joint_speeds
         angles, turn = posture.joint_angles, posture.turn
         delay, interface = state.senses.delay, self.interface
-        if any_true(posture.deviation >= CLEAR):
+        if not all_true(posture.is_clear):
             hand, columns = self._body(state, state.evidence.best).hand_model(angles)
             error, noise = as_vectors(state.senses.hand) - hand, state.senses.target.noise
-            tells = (posture.deviation[:, 0] >= CLEAR) & (delay.lag == 0)
-            tells &= ~state.senses.is_hidden
+            tells = ~posture.is_clear[:, 0] & (delay.lag == 0) & ~state.senses.is_hidden
             by_hand = posture.by_hand(error, columns, noise)
             angles = np.where(tells[:, None], by_hand, angles)
         if not any_true(delay.late):
@@ -424,13 +423,12 @@ class BodyAgent(FeedbackAgent[BodyState]):
         than that explains.
         """
         posture = state.senses.posture
-        is_clear = posture.deviation < CLEAR
-        if all_true(is_clear):
+        if all_true(posture.is_clear):
             return posture.noise
         explained = (posture.doubt * self._levers).sum(axis=-1) + 2 * state.senses.target.noise
         ratio = state.evidence.scatter / (explained + SAME**2)
         filtered = posture.doubt * np.maximum(1.0, ratio)[:, None]
-        return np.where(is_clear, posture.noise, filtered)
+        return np.where(posture.is_clear, posture.noise, filtered)
 
     def _regulates(self, state: BodyState, left: Floats) -> Bools:
         """Return which arms the regulator commands, (n,): only those seen as they are, in time."""

@@ -29,7 +29,7 @@ Bayesian information criterion (Schwarz 1978) with a heavier penalty, because ne
 observations are nearly the same.  A turned cursor, or one changed length, is mostly identified from
 the first observation.  The remaining mean error is added as an offset, unless it is noise.
 
-**Changes.** Sums that remember a second cannot follow a change within a movement.  So a rival also
+**Changes.**  Sums that remember a second cannot follow a change within a movement.  So a rival also
 predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits the
 last five hands, with log m on a line in time.  Once the rival's errors are clearly smaller, the
 body is taken to change until they are larger: the rival is used, extrapolated to when a command

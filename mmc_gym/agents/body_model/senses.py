@@ -397,11 +397,16 @@ class PostureTrack(NamedTuple):
         return self.joint_angles + is_likely[:, None] * turn
 
     @property
+    def is_clear(self) -> Bools:
+        """Whether the seen angles are nearly free of noise, (n, 1)."""
+        return self.deviation < CLEAR
+
+    @property
     def likely(self) -> Floats:
         """Joint angles as seen, where they are clear; else filtered."""
         if not any_true(self.noise):
             return self.seen
-        return np.where(self.deviation < CLEAR, self.seen, self.joint_angles)
+        return np.where(self.is_clear, self.seen, self.joint_angles)
 
     @property
     def deviation(self) -> Floats:

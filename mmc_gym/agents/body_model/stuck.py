@@ -111,14 +111,14 @@ class Stuck(NamedTuple):
         standing = np.where(self.stands, error_if_stuck, np.inf)
         is_better &= error_if_stuck <= standing.min(axis=-1, keepdims=True)
         is_stuck = self.stands & (is_better | self.is_stuck)
-        offset = self.offset * is_stuck
+        offset = np.zeros_like(self.offset)
         if any_true(is_stuck):
             turn, rate = commanded, 1.0
             if turn is None:
-                turn, rate = self._pull(columns, is_stuck, lacks), RATE
-            offset = (offset + counts * turn) * is_stuck
+                turn, rate = _pull(columns, is_stuck, lacks), RATE
+            offset = (self.offset + counts * turn) * is_stuck
             hand, columns = model(self.felt + offset)
-            pull = self._pull(columns, is_stuck, self.hand - hand)
+            pull = _pull(columns, is_stuck, self.hand - hand)
             offset = offset + counts * rate * pull
         return self._replace(
             error=error * is_watched,
@@ -127,17 +127,21 @@ class Stuck(NamedTuple):
             offset=offset,
         )
 
-    def _pull(self, columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
-        """Return turns of stuck joints, (n, N), that move the hand by an error, (n, d)."""
-        columns = columns * is_stuck[..., None]
-        size = _squared(columns).sum(axis=-1, keepdims=True) + NEGLIGIBLE
-        turns: Floats = (columns * error[:, None]).sum(axis=-1) / size
-        return turns
-
     def corrected(self, seen: Seen, turn: Floats, control_step: float) -> Seen:
         """Return what is seen, with angles and speeds of joints that `turn`, but are stuck."""
         speeds = np.where(self.is_stuck, turn / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
+
+
+def _pull(columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
+    """Return turns of stuck joints, (n, N), that move the hand towards one off by `error`, (n, d).
+
+    `columns` are the derivatives of the hand by the joint angles, (n, N, d).
+    """
+    columns = columns * is_stuck[..., None]
+    size = _squared(columns).sum(axis=-1, keepdims=True) + NEGLIGIBLE
+    turns: Floats = (columns * error[:, None]).sum(axis=-1) / size
+    return turns
 
 
 def _squared(vectors: Floats) -> Floats:
