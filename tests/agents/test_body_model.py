@@ -59,6 +59,8 @@ BODIES = {
     "as given": ((1.0, 1.0, 1.0), 0.0, 0.0, 1),
     "turned": ((1.0, 1.0, 1.0), 0.5, 0.0, 2),
     "longer": ((1.0, 1.0, 1.5), 0.0, 0.0, 3),
+    "scaled": ((2.0, 2.0, 2.0), 0.0, 0.0, 2),
+    "scaled and turned": ((2.0, 2.0, 2.0), -0.7, 0.0, 8),
     "all lengths": ((1.2, 0.8, 1.3), 0.0, 0.0, 15),
     "turned and longer": ((1.0, 1.0, 1.4), -0.7, 0.0, 15),
     "another centre": ((1.0, 1.0, 1.0), 0.6, 0.4 - 0.8j, 10),
@@ -572,6 +574,7 @@ NOT_AS_GIVEN = [
         (ik_body, {"perturbations": "obstacles-2"}, 10, 0.8),
         (ik_body, {"perturbations": "delay-200"}, 10, 0.9),
         (mmc_body, {"parts": Parts(vigour=0.0), "perturbations": "locked-2"}, 10, 0.9),
+        (mmc_body, {"perturbations": "mirror-at-1", "control": "joint_delta"}, 50, 1.0),
         # A hidden hand is no evidence about the body.
         (ik_body, {"perturbations": "no-feedback"}, 20, 1.0),
         (ik_body, {"perturbations": "endpoint-feedback"}, 20, 0.5),

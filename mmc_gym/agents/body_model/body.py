@@ -6,8 +6,9 @@
     x = e^{iφ} Σ ℓ_i u_i + c
 
 Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
-that is turned about the base; one length; all lengths; all lengths and the angle; and each of these
-with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  All are tried for the
+that is turned about the base; one length; one factor of all lengths, or this and the angle; all
+lengths; all lengths and the angle; and each of these with the shift c, which moves the centre of
+the turn to c / (1 − e^{iφ}).  All are tried for the
 mirror image of x, too.  Running sums over the observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
@@ -16,6 +17,7 @@ give the parameters of each hypothesis, and its remaining square error, in close
 
     turned            φ = arg(ℓᵀ h)
     segment j         ℓ_j = (Re h_j − Σ_{k≠j} G_jk ℓ_k) / G_jj
+    scaled            ℓ ← ℓ Re(e^{−iφ} ℓᵀ h) / ℓᵀ G ℓ        φ = 0, or as if only turned
     all lengths       ℓ = G⁻¹ Re h
     lengths, turned   2φ = arg(hᵀ G⁻¹ h), then ℓ = G⁻¹ Re(e^{−iφ} h)
     square error      S = s − 2 Re(e^{−iφ} ℓᵀ h) + ℓᵀ G ℓ
@@ -33,18 +35,17 @@ the first observation.  The remaining mean error is added as an offset, unless i
 predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits the
 last five hands, with log m on a line in time.  Once the rival's errors are clearly smaller, the
 body is taken to change until they are larger: the rival is used, extrapolated to when a command
-acts, and the sums are forgotten fast (a variable forgetting factor; Fortescue et al. 1981).  The
-few observations that are left cannot tell lengths, so the rival keeps the hypothesis it began with.
-Noise is no change, because under noise a line through five hands predicts worse than the sums.
-Where the hand is suddenly far from where the best hypothesis expects it, all begins anew.
+acts, and the sums are of the last five observations.  These cannot tell lengths, so the rival keeps
+the hypothesis it began with.  Noise is no change, because under noise a line through five hands
+predicts worse than the sums.  Where two hands in turn are far from where the best hypothesis
+expects them, all begins anew with these.
 
 **Locks.**  A joint is taken as locked, and held in the internal model, when the turns commanded
 while it rests add up to enough.  It is still pushed, so that a joint that was only held up (by a
 load, an obstacle, or a neighbouring joint) is free again as soon as it turns.  Nothing counts
 before the arm is felt to move, because late senses show an arm at rest.
 
-Literature: Schwarz (1978), Ann. Statist. 6, 461–464.  Fortescue, Kershenbaum & Ydstie (1981),
-Automatica 17, 831–835.
+Literature: Schwarz (1978), Ann. Statist. 6, 461–464.
 """
 
 from __future__ import annotations
@@ -78,7 +79,6 @@ MIRROR_PARAMETERS = 2  # number of free parameters that a mirrored cursor counts
 
 SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow new errors
 BEGINS_AT = 0.25  # ratio of these errors at which a change begins; it ends at 1
-FORGET_IN_CHANGE = 0.3  # share of the sums and the offset that is forgotten in a step of a change
 LOST = 0.3  # square error from which on all that is known is wrong, segment lengths²
 # Weights of five values that give the slope and the end of the least-squares line through them.
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
@@ -126,7 +126,7 @@ def _mirrored(points: Points, is_mirrored: Bools) -> Points:
 class Change(NamedTuple):
     """Whether the body changes: a trend then predicts the hand better than the best hypothesis."""
 
-    looks: Points  # the last z, see `BodyEvidence`, (n, 5, N + 2)
+    looks: Points  # the last five z, see `BodyEvidence`, (n, 5, N + 2)
     error: Floats  # mean square error of the best hypothesis, (n,)
     error_of_trend: Floats  # mean square error of the trend, (n,)
     is_on: Bools  # whether the body is taken to change, (n,)
@@ -152,18 +152,23 @@ class Change(NamedTuple):
         return base._replace(turn=base.turn * turn, shift=base.shift + rest)
 
     def observe(
-        self, evidence: BodyEvidence, z: Points, hand: Points, is_given: Bools, blur: Floats | float
+        self,
+        evidence: BodyEvidence,
+        looks: Points,
+        hand: Points,
+        is_given: Bools,
+        blur: Floats | float,
     ) -> Change:
-        """Return the `Change` after one more observation; `evidence` is from before it.
+        """Return the `Change` after one more of the `looks`; `evidence` is from before it.
 
         The trend is judged only where the best hypothesis errs by more than its usual error and
         `blur` explain, or always errs in the same direction, or where the body changes.
         """
         zero = np.zeros(len(hand))
-        looks = np.concatenate([self.looks[:, 1:], z[:, None]], axis=1)
         if all_true(is_given):
             return Change(looks, zero, zero, zero > 0, evidence.best)
-        error = squared(hand - evidence.best.seen(z[:, :-2]))
+        units = looks[:, -1, :-2]
+        error = squared(hand - evidence.best.seen(units))
         mean = self.error + SURPRISE_RATE * (error - self.error)
         mean[is_given | (evidence.age == 0)] = 0.0
         usual = evidence.scatter + (EXACT + 3 * blur)
@@ -177,7 +182,7 @@ class Change(NamedTuple):
         before = of_arms(self._replace(base=base), failing)
         given_body = of_arms(evidence.given_body, failing)
         trend = before.body(given_body, 1.0)
-        error = squared(hand[failing] - trend.seen(z[failing, :-2]))
+        error = squared(hand[failing] - trend.seen(units[failing]))
         error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
         limit = np.where(before.is_on, 1.0, BEGINS_AT)
         error_of_trend[failing] = error
@@ -190,10 +195,10 @@ class BodyEvidence(NamedTuple):
 
     With e = x − ℓᵀu for the given lengths ℓ, the sums are Σ w zᵀ of z = (u_1 … u_N, e, 1) and
     w = (x, z̄).  Rows 1 to N have the real part G, and row 0 is for mirrored cursors.  Old
-    observations are slowly forgotten, and fast while the body changes.
+    observations are slowly forgotten, and at once where the body changes.
     """
 
-    age: Floats  # number of observations, (n,)
+    age: Floats  # number of observations that count, (n,)
     sums: Points  # Σ w zᵀ, (n, N + 3, N + 2)
     given_body: Body  # the body as given
     body: Body  # the best hypothesis
@@ -221,30 +226,30 @@ class BodyEvidence(NamedTuple):
     ) -> BodyEvidence:
         """Return the evidence after the hand (n,) was seen in a posture (n, N).
 
-        `follows`: whether changes are followed.  `mirrors`: whether mirrored cursors are tried.
+        `follows`: whether changes are followed.  `mirrors`: whether mirrored cursors are tried,
+        and those that magnify.
         `blur`: mean square error of the hand that is due to errors of the posture.
         """
-        units, age, changes = unit_vectors(joint_angles), self.age + 1, self.change.is_on
+        units, age, is_anew = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given_body.lengths * units).sum(axis=-1)
         z = np.ones(self.sums[:, 0].shape, complex)
         z[:, :-2], z[:, -2] = units, error
-        w = np.concatenate([hand[:, None], z.conj()], axis=1)
-        keep: Any = 1 - FORGET
-        rate = np.maximum(RATE, 1 / age)
-        if any_true(changes):
-            keep = np.where(changes, 1 - FORGET_IN_CHANGE, keep)[:, None, None]
-            rate = np.where(changes, np.maximum(FORGET_IN_CHANGE, rate), rate)
+        looks = np.concatenate([self.change.looks[:, 1:], z[:, None]], axis=1)
+        sums = (1 - FORGET) * self.sums + _products(z, hand)
+        if any_true(is_anew):
+            age = np.where(is_anew, np.minimum(age, len(SLOPE)), age)
         if follows and any_true(is_lost := self._is_lost(hand, units)):
-            age, rate = np.where(is_lost, 1.0, age), np.where(is_lost, 1.0, rate)
-            keep = np.where(is_lost[:, None, None], 0.0, keep)
-        sums = keep * self.sums + w[:, :, None] * z[:, None, :]
+            age, is_anew = np.where(is_lost, 2.0, age), is_anew | is_lost
+        if any_true(is_anew):
+            sums[is_anew] = self._recent_sums(looks[is_anew], age[is_anew])
         is_given = _is_given(sums)
         change = self.change
         if follows:
-            change = change.observe(self, z, hand, is_given, blur)
+            change = change.observe(self, looks, hand, is_given, blur)
         body = self._identify(sums, mirrors, is_given, age)
         if body is not self.given_body:
             error = hand - body.seen(units)
+        rate = np.maximum(RATE, 1 / age)
         offset = self.offset + rate * (error - self.offset)
         scatter = self.scatter + rate * (squared(error - offset) - self.scatter)
         square = squared(offset)
@@ -252,10 +257,17 @@ class BodyEvidence(NamedTuple):
         best = body._replace(shift=body.shift + _mirrored(part, body.is_mirrored))
         return BodyEvidence(age, sums, self.given_body, body, offset, scatter, best, change)
 
+    def _recent_sums(self, looks: Points, count: Floats) -> Points:
+        """Return the sums over the last `count`, (m,), of looks, (m, 5, N + 2)."""
+        is_recent = np.arange(looks.shape[1], 0, -1) <= count[:, None]
+        looks = looks * is_recent[..., None]
+        hands = looks[..., -2] + (self.given_body.lengths[0] * looks[..., :-2]).sum(axis=-1)
+        return _products(looks, hands).sum(axis=1)
+
     def _is_lost(self, hand: Points, units: Points) -> Bools:
         """Return which arms look so unlike the best hypothesis that all begins anew, (n,).
 
-        They did so in the last observation, too, and the body does not change steadily.
+        They looked so in the last observation, too, and the body does not change steadily.
         """
         is_lost: Bools = (self.change.error > SURPRISE_RATE * LOST) & ~self.change.is_on
         if any_true(is_lost):
@@ -264,9 +276,9 @@ class BodyEvidence(NamedTuple):
 
     @property
     def explains_hand(self) -> Bools:
-        """Whether the hand is seen where the best hypothesis expects it, but for noise, (n,)."""
+        """Whether the hand is seen where a steady body expects it, but for noise, (n,)."""
         explains: Bools = squared(self.offset) <= self.scatter + EXACT
-        return explains
+        return explains & ~self.change.is_on
 
     def after(self, steps: Floats) -> Body:
         """Return the body predicted for `steps` (n,) control steps after the last observation."""
@@ -291,7 +303,7 @@ class BodyEvidence(NamedTuple):
         if any_true(is_due):
             may_be = mirrors & ((age < FREQUENT) | (age % 16 == 0) | self.change.is_on)
             may_be |= self.body.is_mirrored
-            best = most_likely(sums[is_due], may_be[is_due], self.given_body.lengths[0])
+            best = most_likely(sums[is_due], may_be[is_due], self.given_body.lengths[0], mirrors)
             for field, best_field in zip(body, best, strict=True):
                 field[is_due] = best_field
         return body
@@ -304,18 +316,30 @@ def _is_given(sums: Points) -> Bools:
     return is_given
 
 
+def _products(z: Points, hands: Points) -> Points:
+    """Return w zᵀ, (..., N + 3, N + 2), of z, (..., N + 2), and hands, (...)."""
+    w = np.concatenate([hands[..., None], z.conj()], axis=-1)
+    return w[..., :, None] * z[..., None, :]
+
+
 def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
     """Return matrix-vector products (..., N), rounded alike in every batch, unlike those of `@`."""
     product: NDArray[Any] = (matrices * vectors[..., None, :]).sum(axis=-1)
     return product
 
 
-def hypotheses(g: Floats, h: Points, given_lengths: Floats) -> tuple[Floats, Points, NDArray[Any]]:
-    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses from G (…, N, N), h (…, N)."""
+def hypotheses(
+    g: Floats, h: Points, given_lengths: Floats, magnifies: bool = True
+) -> tuple[Floats, Points, NDArray[Any]]:
+    """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses from G (…, N, N), h (…, N).
+
+    Without `magnifies` none has one factor of all lengths.
+    """
     segments = len(given_lengths)
     as_given: Floats = np.broadcast_to(given_lengths, h.shape)
     unturned: Points = np.ones(h.shape[:-1], complex)
-    turn = np.exp(1j * np.angle((h * given_lengths).sum(axis=-1)))
+    pull = (h * given_lengths).sum(axis=-1)
+    turn = np.exp(1j * np.angle(pull))
     diagonal = np.diagonal(g, axis1=-2, axis2=-1) + RIDGE
     change = (h.real - (g * given_lengths).sum(axis=-1)) / diagonal
     inverse = np.linalg.inv(g + RIDGE * np.eye(segments))
@@ -324,29 +348,42 @@ def hypotheses(g: Floats, h: Points, given_lengths: Floats) -> tuple[Floats, Poi
     # Of two opposite turns, the one that leaves lengths positive.
     is_opposite = ((half_turn.conj()[..., None] * h).real * given_lengths).sum(axis=-1) < 0
     both_turn = half_turn * np.where(is_opposite, -1, 1)
-    all_lengths = (
+    all_lengths, all_turned = (
         _product(inverse, (phase.conj()[..., None] * h).real + RIDGE * given_lengths)
         for phase in (unturned, both_turn)
     )
-    one_length = (as_given + change * j for j in np.eye(segments))
-    lengths = np.stack([as_given, as_given, *one_length, *all_lengths])
-    turns = np.stack([unturned, turn, *[unturned] * segments, unturned, both_turn])
-    return lengths, turns, np.array([0, 1, *[1] * segments, segments, segments + 1])
+    kinds = [
+        (as_given, unturned, 0),
+        (as_given, turn, 1),
+        *((as_given + change * j, unturned, 1) for j in np.eye(segments)),
+        (all_lengths, unturned, segments),
+        (all_turned, both_turn, segments + 1),
+    ]
+    if magnifies:
+        size = (_product(g, as_given) * given_lengths).sum(axis=-1) + RIDGE
+        scales = ((part + RIDGE) / size for part in (pull.real, np.abs(pull)))
+        scaled, scaled_turned = (as_given * scale[..., None] for scale in scales)
+        kinds += [(scaled, unturned, 1), (scaled_turned, turn, 2)]
+    lengths, turns, parameters = zip(*kinds, strict=True)
+    return np.stack(lengths), np.stack(turns), np.array(parameters)
 
 
-def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats) -> Body:
-    """Return the best hypothesis for each arm; mirrored only where `mirrors`, (n,)."""
+def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats, magnifies: bool) -> Body:
+    """Return the best hypothesis for each arm; mirrored only where `mirrors`, (n,).
+
+    Cursors that magnify are only tried if `magnifies`.
+    """
     to_hand = np.eye(len(given_lengths) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given_lengths
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
-    least, body = _fit(sums, given_lengths)
+    least, body = _fit(sums, given_lengths, magnifies)
     tried = np.flatnonzero(mirrors)
     if len(tried):
         sums = sums[tried]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[tried].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
         least = least[tried] - MIRROR_PARAMETERS * _penalty(sums)
-        mirrored_least, mirrored_body = _fit(sums, given_lengths)
+        mirrored_least, mirrored_body = _fit(sums, given_lengths, magnifies)
         is_better = mirrored_least < least
         mirrored_body = mirrored_body._replace(is_mirrored=is_better)
         for field, mirrored_field in zip(body, mirrored_body, strict=True):
@@ -354,7 +391,7 @@ def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats) -> Body:
     return body
 
 
-def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Body]:
+def _fit(sums: Points, given_lengths: Floats, magnifies: bool) -> tuple[Floats, Body]:
     """Return the least criterion for each arm, and the body behind it.
 
     Rows and columns of `sums` are for u_1 … u_N, x and 1; symbols are those of the module.
@@ -365,7 +402,7 @@ def _fit(sums: Points, given_lengths: Floats) -> tuple[Floats, Body]:
     # Axes: hypotheses; without and with a shift; arms; segments.
     moments, is_shifted = np.stack([sums, about_means]), np.arange(2)[:, None]
     g, h, s = moments[..., :-2, :-2].real, moments[..., :-2, -2], moments[..., -2, -2].real
-    lengths, turn, parameters = hypotheses(g, h, given_lengths)
+    lengths, turn, parameters = hypotheses(g, h, given_lengths, magnifies)
     shift = sums[:, -1, -2] - turn * (lengths * sums[:, -1, :-2]).sum(axis=-1)
     shift = is_shifted * shift / count
 
