@@ -298,7 +298,6 @@ class BodyAgent(FeedbackAgent[BodyState]):
             commanded=step.as_given / unit,
             after=step.after.speeds / limit,
             turn=step.after.turn / unit,
-            is_clear=step.after.is_clear,
             differs=motors.clearly_differ,
         )
         if all_true(is_felt):
@@ -431,11 +430,18 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return np.where(posture.is_clear, posture.noise, filtered)
 
     def _regulates(self, state: BodyState, left: Floats) -> Bools:
-        """Return which arms the regulator commands, (n,): only those seen as they are, in time."""
+        """Return which arms the regulator commands, (n,): only those seen as they are, in time.
+
+        Noisy angles are filtered; then motors must err by more than the noise that is left.
+        """
         senses, unit = state.senses, full_turn(self.interface)
         strength = self._strength(state.drive)
         acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
-        acts &= (senses.delay.late == 0) & (senses.posture.deviation[:, 0] < EXACT)
+        is_exact = senses.posture.deviation[:, 0] < EXACT
+        if not all_true(is_clear := senses.posture.is_clear[:, 0]):
+            errs_more = state.motors.error * unit**2 > self._doubt(state).mean(axis=-1)
+            is_exact = np.where(is_clear, is_exact, errs_more)
+        acts &= (senses.delay.late == 0) & is_exact
         return acts & ~state.stuck.contradicts & state.evidence.explains_hand
 
     def _regulate(

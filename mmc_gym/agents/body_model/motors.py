@@ -91,9 +91,15 @@ class Motors(NamedTuple):
         return differ
 
     @property
+    def error(self) -> Floats:
+        """Mean square error of the motor that is least as given, full turns squared, (n,)."""
+        error: Floats = self.running[..., 0].max(axis=-1)
+        return error
+
+    @property
     def clearly_differ(self) -> Bools:
         """Which arms have a motor that is clearly not as given, (n,)."""
-        differ: Bools = np.any(self.running[..., 0] > OTHER, axis=-1)
+        differ: Bools = self.error > OTHER
         return differ
 
     @property

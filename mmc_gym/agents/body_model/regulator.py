@@ -111,13 +111,12 @@ class Regulator(NamedTuple):
         commanded: Floats,
         after: Floats,
         turn: Floats,
-        is_clear: Bools,
         differs: Bools,
     ) -> Regulator:
         """Return it after a control step, all in full turns, (n, N).
 
-        Joints had the speeds `before` and `after` it, and turned by `turn`.  Only what `is_clear`,
-        (n, 1), counts.  A and T follow where a motor `differs` from the given servo, (n,).
+        Joints had the speeds `before` and `after` it, and turned by `turn`.  A and T follow where a
+        motor `differs` from the given servo, (n,).
         """
         x = np.concatenate([np.ones_like(before[:, :1]), before, self.last, commanded], axis=-1)
         # By elements: a product of matrices may round otherwise in another batch.
@@ -126,14 +125,12 @@ class Regulator(NamedTuple):
             for of_speed, of_command in zip(GIVEN_OF_SPEED, GIVEN_OF_COMMAND, strict=True)
         ]
         error = np.concatenate([after - given[0], turn - given[1]], axis=-1)
-        counted = (is_clear * x)[..., None]
-        squares = KEEP * self.squares + counted * x[:, None]
-        products = KEEP * self.products + counted * error[:, None]
+        squares = KEEP * self.squares + x[..., None] * x[:, None]
+        products = KEEP * self.products + x[..., None] * error[:, None]
         y = np.ones((*turn.shape, 3))
         y[..., 1] = (commanded - self.last) ** 2
         y[..., 2] = (turn - (self.fit[..., turn.shape[1] :] * x[..., None]).sum(axis=1)) ** 2
-        counted = (is_clear[..., None] * y)[..., None]
-        errors = KEEP_ERRORS * self.errors + counted * y[..., None, :]
+        errors = KEEP_ERRORS * self.errors + y[..., None] * y[..., None, :]
         fit = self.fit
         if any_true(differs):
             ridge, fit = RIDGE * np.eye(x.shape[1]), fit.copy()

@@ -8,7 +8,7 @@ The median of the joints is robust to a joint that hits something; for normal no
 its mean square is 0.455 · 2R (0.455 is the square of the normal median deviation).  The command
 predicts the turn, too: c, see `commanded_turn`.  Near the target it is far more exact than noisy
 speeds, but not for a joint that a load, a lock or an obstacle keeps from following.  This shows in
-its last turn t.  So a Kalman filter weighs both, with Q_m the mean square of Δt (v − v′)/2:
+the last turn t of q̂.  So a Kalman filter weighs both, with Q_m the mean square of Δt (v − v′)/2:
 
     Q_c = (0.7 (t − c))² + (0.05 c)²,     t̂ = (Q_c m + Q_m c) / (Q_c + Q_m)
     P ← P + Q_c Q_m / (Q_c + Q_m),     K = P / (P + R)
@@ -21,7 +21,8 @@ turns are those of a Kalman update with the Jacobian J and the variance R_h of t
     P J (Jᵀ P J + R_h)⁻¹ e
 
 unless e is more than P and R_h explain: then the body is not as it is thought to be.  The next
-prediction starts from q̂ without them, because the hand also tells the body.
+prediction starts from q̂ without them, because the hand also tells the body.  Motors are learned
+from m, because t̂ already expects what is commanded.
 
 **Target.**  Third differences of a smooth movement vanish, so those of the target are noise: for
 white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  The better of two
@@ -331,7 +332,8 @@ class PostureTrack(NamedTuple):
     """Estimate of where the joints are."""
 
     joint_angles: Floats  # filtered; they continue beyond ±π
-    turn: Floats  # in the last control step
+    turn: Floats  # in the last control step; by speeds, where angles are noisy
+    filtered_turn: Floats  # that of the filtered angles
     seen: Floats  # joint angles as last seen
     speeds: Floats  # as last seen
     noise: Floats  # R, variance of the seen angles, (n, 1)
@@ -343,7 +345,8 @@ class PostureTrack(NamedTuple):
     def start(cls, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after the first observation."""
         still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
-        return cls(joint_angles, still, joint_angles, speeds, none, still, still, age=none + 1)
+        turns = still, still
+        return cls(joint_angles, *turns, joint_angles, speeds, none, still, still, age=none + 1)
 
     def filter(
         self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
@@ -361,10 +364,10 @@ class PostureTrack(NamedTuple):
         rate = np.maximum(RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         of_speeds = (unclear * unclear).sum(axis=-1, keepdims=True) / unclear.shape[-1]
-        of_command = (SLIP * (self.turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
+        of_command = (SLIP * (self.filtered_turn - commanded)) ** 2 + (SERVO_ERROR * commanded) ** 2
         of_command += SAME**2
         share = of_speeds / (of_speeds + of_command)
-        turn = turn + share * (commanded - turn)
+        by_speeds, turn = turn, turn + share * (commanded - turn)
         innovation = wrap_angle(joint_angles - self.joint_angles - turn)
         bias = is_noisy * (self.bias + RATE * (innovation - self.bias))
         doubt = np.where(self.age == 1, noise, self.doubt) + share * of_command
@@ -374,13 +377,14 @@ class PostureTrack(NamedTuple):
         if not all_true(is_noisy):
             turn = np.where(is_noisy, turn, wrap_angle(joint_angles - self.joint_angles))
         after = self.joint_angles + turn
-        return PostureTrack(after, turn, joint_angles, speeds, noise, doubt, bias, age)
+        turns = np.where(noise < CLEAR * CLEAR, turn, by_speeds), turn
+        return PostureTrack(after, *turns, joint_angles, speeds, noise, doubt, bias, age)
 
     def accept(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after one more observation, taken as exact."""
         turn, age = wrap_angle(joint_angles - self.joint_angles), self.age + 1
-        after, seen = self.joint_angles + turn, joint_angles
-        return self._replace(joint_angles=after, turn=turn, seen=seen, speeds=speeds, age=age)
+        turns = {"joint_angles": self.joint_angles + turn, "turn": turn, "filtered_turn": turn}
+        return self._replace(**turns, seen=joint_angles, speeds=speeds, age=age)
 
     def by_hand(self, error: Floats, columns: Floats, noise: Floats) -> Floats:
         """Return joint angles, corrected by a hand that is seen elsewhere, by `error`, (n, 2).
