@@ -173,18 +173,19 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with stuck sensors corrected."""
-        stuck = state.stuck.feel(seen)
+        posture, step = state.senses.posture, self.interface.control_step
+        stuck = state.stuck.feel(seen, np.where(posture.is_clear, 0.0, posture.deviation), step)
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
             senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
             commanded = senses.commanded if self.has_servos else None
-            compared = stuck.compare(model, senses.posture.joint_angles, commanded, counts)
+            compared = stuck.compare(model, posture.joint_angles, commanded, counts)
             stuck = where(doubted, compared, stuck)
             if any_true(stuck.is_stuck):
                 turn = stuck.offset - state.stuck.offset if commanded is None else commanded
-                seen = stuck.corrected(seen, turn, self.interface.control_step)
+                seen = stuck.corrected(seen, turn, step)
         return state._replace(stuck=stuck), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:

@@ -16,6 +16,9 @@ x, corrects it:
 If no servo is known, p_j has no bounds.  Then the joint turns by J_jᵀe / Σ |J|² instead of c_j, and
 only a tenth of what is off is corrected.
 
+Noisy joints are felt to turn by their speeds, see `senses`.  Then |e| counts less by Σ |J_i| w_i,
+where turns are uncertain by w_i, and of what is off, too, only a tenth is corrected.
+
 The hand is in the plane or in space: vectors have 2 or 3 components.
 """
 
@@ -34,6 +37,7 @@ from mmc_gym.interface import Seen, Sensed
 
 BETTER = 0.5  # ratio of these sums below which a sensor is stuck
 EXACT = 3e-5  # sum of square errors that is as good as none, segment lengths²
+TURN_NOISE = 0.15  # standard deviation of a turn that speeds tell, per that of joint angles
 NEGLIGIBLE = 1e-3  # square of a joint's distance from the hand that is as good as 0, likewise
 
 HandModel: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
@@ -44,8 +48,10 @@ class Stuck(NamedTuple):
     """What is known of the sensors of n arms with N joints."""
 
     felt: Floats  # joint angles as last felt, (n, N)
+    speeds: Floats  # and their speeds
     hand: Floats  # as last seen, (n, d)
     turn: Floats  # how far joints were last felt to turn, (n, N)
+    unclear: Floats  # and how uncertain that is, if there is noise, radians
     move: Floats  # and how far the hand was seen to move, (n, d)
     stands: Bools  # whether joints were last felt to stand still, (n, N)
     error: Floats  # recent square errors of the hand's movement if no sensor is stuck, (n, 1)
@@ -59,14 +65,25 @@ class Stuck(NamedTuple):
         felt = sensed.joint_angles
         zero, hand = np.zeros_like(felt), np.zeros_like(sensed.target)
         no = zero > 0
-        return cls(felt, hand, zero, hand, no, zero[:, :1], zero, no, zero)
+        one = zero[:, :1]
+        return cls(felt, zero, hand, zero, zero, hand, no, one, zero, no, zero)
 
-    def feel(self, seen: Seen) -> Stuck:
-        """Return it after an observation."""
-        hand, felt = seen.hand, seen.joint_angles
-        turn = wrap_angle(felt - self.felt)
-        move, stands = hand - self.hand, np.abs(turn) < SAME
-        return self._replace(felt=felt, hand=hand, turn=turn, move=move, stands=stands)
+    def feel(self, seen: Seen, noise: Floats | None = None, control_step: float = 0.0) -> Stuck:
+        """Return it after an observation.
+
+        `noise` is the standard deviation of the joint angles, radians, (n, 1), if there may be any.
+        """
+        angles, speeds, hand = seen.joint_angles, seen.joint_speeds, seen.hand
+        turn, move = wrap_angle(angles - self.felt), hand - self.hand
+        stands, unclear = np.abs(turn) < SAME, np.zeros_like(turn)
+        if noise is not None and any_true(noise):
+            # Noise is never the same twice: if an angle repeats, it has few counts instead.
+            half, is_noisy = control_step / 2, (noise > 0) & ~stands.any(axis=-1, keepdims=True)
+            turn = np.where(is_noisy, half * (self.speeds + speeds), turn)
+            unclear = is_noisy * np.hypot(half * (speeds - self.speeds), TURN_NOISE * noise)
+            stands = np.where(is_noisy, np.abs(turn) < 5 * TURN_NOISE * noise, stands)
+        after = self._replace(felt=angles, speeds=speeds, hand=hand)
+        return after._replace(turn=turn, unclear=unclear, move=move, stands=stands)
 
     def doubted(self, before: Stuck) -> Bools:
         """Return which arms may have a stuck sensor, (n,), if it was so `before` an observation.
@@ -105,7 +122,8 @@ class Stuck(NamedTuple):
             part = np.clip(self.turn + part, low, high) - self.turn
         lacks_if_stuck = lacks[:, None] - columns * part[..., None]
         counts = counts[:, None]
-        error = (1 - RATE) * self.error + counts * _squared(lacks)[:, None]
+        unclear = (np.sqrt(_squared(columns)) * self.unclear).sum(axis=-1, keepdims=True)
+        error = (1 - RATE) * self.error + counts * (_squared(lacks)[:, None] - unclear**2)
         error_if_stuck = (1 - RATE) * self.error_if_stuck + counts * _squared(lacks_if_stuck)
         is_better = error_if_stuck < BETTER * error - EXACT
         standing = np.where(self.stands, error_if_stuck, np.inf)
@@ -113,13 +131,13 @@ class Stuck(NamedTuple):
         is_stuck = self.stands & (is_better | self.is_stuck)
         offset = np.zeros_like(self.offset)
         if any_true(is_stuck):
-            turn, rate = commanded, 1.0
+            turn, is_sure = commanded, self.unclear == 0
             if turn is None:
-                turn, rate = _pull(columns, is_stuck, lacks), RATE
+                turn, is_sure = _pull(columns, is_stuck, lacks), np.zeros_like(is_stuck)
             offset = (self.offset + counts * turn) * is_stuck
             hand, columns = model(self.felt + offset)
             pull = _pull(columns, is_stuck, self.hand - hand)
-            offset = offset + counts * rate * pull
+            offset = offset + counts * np.where(is_sure, 1.0, RATE) * pull
         return self._replace(
             error=error * is_watched,
             error_if_stuck=error_if_stuck * is_watched,
