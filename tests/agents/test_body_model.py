@@ -649,6 +649,19 @@ def test_no_fault_makes_an_agent_that_adapts_worse_than_one_that_does_not(fault)
     assert adapts >= max(fixed - 0.02, least)
 
 
+@pytest.mark.parametrize("drawn", ["delay-0..300", "locked-1..3", "dropped-numbers-0.1"])
+def test_a_new_episode_is_noticed_although_nobody_says_so(drawn):
+    envs = gym.make_vec("MMCReach-v0", 40, perturbations=drawn, engine="analytic")
+    agent, state, reached = mmc_body(ReachInterface.of(envs)), None, []
+    for episode in range(3):
+        observations, _ = envs.reset(seed=episode)
+        for _ in range(100):
+            action, state = agent.predict(observations, state)
+            observations, *_, info = envs.step(action)
+        reached.append(np.mean(info["is_success"]))
+    assert min(reached) >= 0.95
+
+
 def test_first_observations_that_repeat_are_not_taken_for_a_delay():
     with closing(gym.make_vec("MMCReach-v0", num_envs=20, engine="analytic")) as env:
         agent, state = mmc_body(ReachInterface.of(env)), None

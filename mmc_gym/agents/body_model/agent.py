@@ -149,6 +149,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
 
     @override
     def respond(self, state: BodyState, seen: Seen) -> tuple[NDArray[np.float32], BodyState]:
+        if any_true(begins := state.senses.begin_anew(seen, self.interface)):
+            state = state._replace(looks=np.where(begins, BETWEEN, state.looks))
         if self.learns or any_true(state.looks == BETWEEN):
             state = self._begin_movements(state, seen)
         lost = seen.lost if self.parts.filters else None

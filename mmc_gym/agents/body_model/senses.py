@@ -160,6 +160,23 @@ class Senses(NamedTuple):
         target = np.where(lost[:, -1], expected, target)
         return Seen(angles, as_vectors(target), speeds, as_vectors(hand))
 
+    def begin_anew(self, seen: Seen, interface: ReachInterface) -> Bools:
+        """Return which arms begin another trial, (n,), though nobody says so.
+
+        They are at rest where they cannot have turned to, and have another target.
+        """
+        posture = self.posture
+        turned = np.abs(wrap_angle(seen.joint_angles - posture.seen))
+        begin: Bools = turned.max(axis=-1) > 2 * full_turn(interface) + 6 * posture.deviation[:, 0]
+        if any_true(begin):
+            begin &= np.abs(seen.joint_speeds).max(axis=-1) < _onset(posture)
+            moved = np.abs(as_points(seen.target) - self.target.predict(np.ones(len(begin))))
+            begin &= moved > TARGET_JUMP
+            if seen.lost is not None:
+                is_seen = ~seen.lost
+                begin &= is_seen[:, : turned.shape[-1]].all(axis=-1) & is_seen[:, -1]
+        return begin
+
     def _hides(self, hand: Points, joint_angles: Floats) -> Bools:
         """Return which hands are hidden, (n,): seen where they were, although the joints turn."""
         is_hidden = np.abs(hand - self.hand) < SAME
