@@ -564,6 +564,8 @@ def success(movements):
 
 PERTURBATIONS = ("rotation-60", "shorter-50", "vision-noise-0.1", "delay-400", "force-field")
 NOISY_MOTOR = ["motor-gain--1-of-3", "joint-noise-0.03"]
+LOCKED_SEEN_WITH_NOISE = ["locked-2", "vision-noise-0.05"]
+LOCKED_FELT_WITH_NOISE = ["locked-2", "joint-noise-0.03"]
 UNDRIVEN = Parts(imagines=False, drives=False)
 NOT_AS_GIVEN = [
     *({"perturbations": name} for name in PERTURBATIONS),
@@ -584,6 +586,9 @@ NOT_AS_GIVEN = [
         (mmc_body, {"parts": Parts(vigour=0.0), "perturbations": "locked-2"}, 10, 0.9),
         (mmc_body, {"control": "joint_delta", "perturbations": "mirror-at-1"}, 50, 1.0),
         (mmc_body, {"control": "joint_delta", "perturbations": NOISY_MOTOR}, 20, 0.95),
+        # Neither a noisy hand nor noisy joints make a locked joint one whose sensor is stuck.
+        (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_SEEN_WITH_NOISE}, 50, 0.96),
+        (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_FELT_WITH_NOISE}, 50, 0.96),
         # A hidden hand is no evidence about the body.
         (ik_body, {"perturbations": "no-feedback"}, 20, 1.0),
         (ik_body, {"perturbations": "endpoint-feedback"}, 20, 0.5),

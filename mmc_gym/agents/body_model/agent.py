@@ -183,7 +183,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
             counts = (state.looks > 0) & delay.is_felt & delay.is_seen & (delay.lag == 0)
             counts &= ~senses.is_hidden
             commanded = senses.commanded if self.has_servos else None
-            compared = stuck.compare(model, posture.joint_angles, commanded, counts)
+            noise = senses.target.noise
+            compared = stuck.compare(model, posture.joint_angles, commanded, counts, noise)
             stuck = where(doubted, compared, stuck)
             if any_true(stuck.is_stuck):
                 turn = stuck.offset - state.stuck.offset if commanded is None else commanded

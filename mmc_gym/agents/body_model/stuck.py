@@ -16,8 +16,9 @@ x, corrects it:
 If no servo is known, p_j has no bounds.  Then the joint turns by J_jᵀe / Σ |J|² instead of c_j, and
 only a tenth of what is off is corrected.
 
-Noisy joints are felt to turn by their speeds, see `senses`.  Then |e| counts less by Σ |J_i| w_i,
-where turns are uncertain by w_i, and of what is off, too, only a tenth is corrected.
+Noisy joints are felt to turn by their speeds, see `senses`.  Then |e|² counts less by
+(Σ |J_i| w_i)², where turns are uncertain by w_i, and by 4 σ² for a hand that is seen with noise of
+variance σ² in each coordinate.  Of what is off, too, only a tenth is corrected.
 
 The hand is in the plane or in space: vectors have 2 or 3 components.
 """
@@ -104,13 +105,20 @@ class Stuck(NamedTuple):
         return contradicts | np.any(self.is_stuck, axis=-1)
 
     def compare(
-        self, model: HandModel, before: Floats, commanded: Floats | None, counts: Bools
+        self,
+        model: HandModel,
+        before: Floats,
+        commanded: Floats | None,
+        counts: Bools,
+        noise: Floats | float = 0.0,
     ) -> Stuck:
         """Return it after the hand's movement is compared with that of the joints.
 
         Joints were at `before`, and should have turned as `commanded`, (n, N), if that is known;
-        some arms count, (n,).  Only needed for arms that are `doubted`.
+        some arms count, (n,).  `noise` is the variance of the seen hand in each coordinate, (n,).
+        Only needed for arms that are `doubted`.
         """
+        noise = np.reshape(noise, (-1, 1))
         is_watched = np.any(self.stands, axis=-1, keepdims=True)
         _, columns = model(before + self.turn / 2)
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
@@ -123,7 +131,8 @@ class Stuck(NamedTuple):
         lacks_if_stuck = lacks[:, None] - columns * part[..., None]
         counts = counts[:, None]
         unclear = (np.sqrt(_squared(columns)) * self.unclear).sum(axis=-1, keepdims=True)
-        error = (1 - RATE) * self.error + counts * (_squared(lacks)[:, None] - unclear**2)
+        expected = unclear**2 + 4 * noise  # of two coordinates, and two noisy hands
+        error = (1 - RATE) * self.error + counts * (_squared(lacks)[:, None] - expected)
         error_if_stuck = (1 - RATE) * self.error_if_stuck + counts * _squared(lacks_if_stuck)
         is_better = error_if_stuck < BETTER * error - EXACT
         standing = np.where(self.stands, error_if_stuck, np.inf)
@@ -131,7 +140,7 @@ class Stuck(NamedTuple):
         is_stuck = self.stands & (is_better | self.is_stuck)
         offset = np.zeros_like(self.offset)
         if any_true(is_stuck):
-            turn, is_sure = commanded, self.unclear == 0
+            turn, is_sure = commanded, (self.unclear == 0) & (noise == 0)
             if turn is None:
                 turn, is_sure = _pull(columns, is_stuck, lacks), np.zeros_like(is_stuck)
             offset = (self.offset + counts * turn) * is_stuck
