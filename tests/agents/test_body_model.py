@@ -586,6 +586,12 @@ NOT_AS_GIVEN = [
         (mmc_body, {"parts": Parts(vigour=0.0), "perturbations": "locked-2"}, 10, 0.9),
         (mmc_body, {"control": "joint_delta", "perturbations": "mirror-at-1"}, 50, 1.0),
         (mmc_body, {"control": "joint_delta", "perturbations": NOISY_MOTOR}, 20, 0.95),
+        (
+            mmc_body,
+            {"control": "joint_delta", "perturbations": ["gain-2", "vision-delay-100"]},
+            20,
+            1.0,
+        ),
         # Neither a noisy hand nor noisy joints make a locked joint one whose sensor is stuck.
         (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_SEEN_WITH_NOISE}, 50, 0.96),
         (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_FELT_WITH_NOISE}, 50, 0.96),

@@ -69,6 +69,7 @@ from mmc_gym.agents.body_model.forward_model import (
     commanded_turn,
     full_turn,
     squared,
+    to_hand,
 )
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.parts import Parts
@@ -214,7 +215,12 @@ class Senses(NamedTuple):
         if not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
-            delay = delay.estimate(self.posture, posture, moved, is_sharp, hidden)
+            levers = to_hand(
+                np.stack([self.postures[:, 0], posture.likely]),
+                np.array(interface.segment_lengths),
+            )
+            way = np.abs(levers[1, :, 0] - levers[0, :, 0])
+            delay = delay.estimate(self.posture, posture, moved, is_sharp, hidden, way)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
         if delay is not related:
@@ -362,8 +368,8 @@ class PostureTrack(NamedTuple):
     def start(cls, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after the first observation."""
         still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
-        turns = still, still
-        return cls(joint_angles, *turns, joint_angles, speeds, none, still, still, age=none + 1)
+        seen = joint_angles, speeds
+        return cls(joint_angles, still, still, *seen, none, still, still, age=none + 1)
 
     def filter(
         self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
@@ -589,20 +595,24 @@ class Delay(NamedTuple):
         moved: Floats,
         is_sharp: Bools,
         hidden: Floats | float = 0.0,
+        way: Floats | float = 0.0,
     ) -> Delay:
         """Return the estimate after one more observation of the posture and the hand.
 
         Joints are never felt later than a hand is seen, if its sight `is_sharp`, (n,): not noisy.
         Values that repeat exactly show no movement, because even noise would change them.  A hand
-        that has `moved`, (n,), by more than any late one at its onset was hidden, not late; so is
-        one that has not been seen to move for longer than the longest delay.  Steps of the joints'
-        movement that were `hidden`, (n,), count as not late.
+        that has `moved`, (n,), by more than any late one at its onset was hidden, not late: by more
+        than half of its `way` so far, (n,), as far as joints tell.  So is one that has not been
+        seen to move for longer than the longest delay.  Steps of the joints' movement that were
+        `hidden`, (n,), count as not late.
         """
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
         waited = np.clip(self.due - 1 - hidden, 0, LONGEST_DELAY)
         late = np.where(self.is_felt, self.late, waited)
-        is_hidden = ~self.is_seen & ((self.due > LONGEST_DELAY + 1) | (moved > REVEALED))
+        is_hidden = ~self.is_seen & (
+            (self.due > LONGEST_DELAY + 1) | (moved > np.maximum(REVEALED, way / 2))
+        )
         late_sight = np.where(self.is_seen, self.late_sight, np.where(is_hidden, late, waited))
         is_felt = moves | self.is_felt
         due = self.due + (self.due > 0)

@@ -65,9 +65,8 @@ class Stuck(NamedTuple):
         """Return what is known before the first look at the hand."""
         felt = sensed.joint_angles
         zero, hand = np.zeros_like(felt), np.zeros_like(sensed.target)
-        no = zero > 0
-        one = zero[:, :1]
-        return cls(felt, zero, hand, zero, zero, hand, no, one, zero, no, zero)
+        no, error = zero > 0, zero[:, :1]
+        return cls(felt, zero, hand, zero, zero, hand, no, error, zero, no, zero)
 
     def feel(self, seen: Seen, noise: Floats | None = None, control_step: float = 0.0) -> Stuck:
         """Return it after an observation.
