@@ -566,6 +566,7 @@ PERTURBATIONS = ("rotation-60", "shorter-50", "vision-noise-0.1", "delay-400", "
 NOISY_MOTOR = ["motor-gain--1-of-3", "joint-noise-0.03"]
 LOCKED_SEEN_WITH_NOISE = ["locked-2", "vision-noise-0.05"]
 LOCKED_FELT_WITH_NOISE = ["locked-2", "joint-noise-0.03"]
+PUSHED_WITH_FEW_COUNTS = ["encoder-128", "motor-offset-0.2"]
 UNDRIVEN = Parts(imagines=False, drives=False)
 NOT_AS_GIVEN = [
     *({"perturbations": name} for name in PERTURBATIONS),
@@ -592,6 +593,8 @@ NOT_AS_GIVEN = [
             20,
             1.0,
         ),
+        # What speeds show, not what is commanded, tells how far joints with few counts turn.
+        (mmc_body, {"control": "joint_delta", "perturbations": PUSHED_WITH_FEW_COUNTS}, 20, 0.9),
         # Neither a noisy hand nor noisy joints make a locked joint one whose sensor is stuck.
         (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_SEEN_WITH_NOISE}, 50, 0.96),
         (mmc_body, {"control": "joint_delta", "perturbations": LOCKED_FELT_WITH_NOISE}, 50, 0.96),

@@ -176,7 +176,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with stuck sensors corrected."""
         posture, step = state.senses.posture, self.interface.control_step
-        stuck = state.stuck.feel(seen, np.where(posture.is_clear, 0.0, posture.deviation), step)
+        stuck = state.stuck.feel(seen, step, np.where(posture.is_clear, 0.0, posture.deviation))
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
             senses, delay, model = state.senses, state.senses.delay, state.evidence.best.hand_model

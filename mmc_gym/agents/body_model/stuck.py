@@ -13,8 +13,9 @@ x, corrects it:
 
     θ_j ← θ_j + c_j + J_jᵀx / Σ |J|²        sum over stuck sensors
 
-If no servo is known, p_j has no bounds.  Then the joint turns by J_jᵀe / Σ |J|² instead of c_j, and
-only a tenth of what is off is corrected.
+If an angle with few counts stands still while its speed shows that the joint turns, c_j is that
+turn.  If no servo is known, p_j has no bounds.  Then the joint turns by J_jᵀe / Σ |J|² instead of
+c_j, and only a tenth of what is off is corrected.
 
 Noisy joints are felt to turn by their speeds, see `senses`.  Then |e|² counts less by
 (Σ |J_i| w_i)², where turns are uncertain by w_i, and by 4 σ² for a hand that is seen with noise of
@@ -50,6 +51,7 @@ class Stuck(NamedTuple):
 
     felt: Floats  # joint angles as last felt, (n, N)
     speeds: Floats  # and their speeds
+    shown: Floats  # how far these show that joints turned; 0 where they are noisy, (n, N)
     hand: Floats  # as last seen, (n, d)
     turn: Floats  # how far joints were last felt to turn, (n, N)
     unclear: Floats  # and how uncertain that is, if there is noise, radians
@@ -66,24 +68,26 @@ class Stuck(NamedTuple):
         felt = sensed.joint_angles
         zero, hand = np.zeros_like(felt), np.zeros_like(sensed.target)
         no, error = zero > 0, zero[:, :1]
-        return cls(felt, zero, hand, zero, zero, hand, no, error, zero, no, zero)
+        return cls(felt, zero, zero, hand, zero, zero, hand, no, error, zero, no, zero)
 
-    def feel(self, seen: Seen, noise: Floats | None = None, control_step: float = 0.0) -> Stuck:
+    def feel(self, seen: Seen, control_step: float = 0.0, noise: Floats | None = None) -> Stuck:
         """Return it after an observation.
 
-        `noise` is the standard deviation of the joint angles, radians, (n, 1), if there may be any.
+        Speeds count if the `control_step` is given.  `noise` is the standard deviation of the joint
+        angles, radians, (n, 1), if there may be any.
         """
         angles, speeds, hand = seen.joint_angles, seen.joint_speeds, seen.hand
-        turn, move = wrap_angle(angles - self.felt), hand - self.hand
-        stands, unclear = np.abs(turn) < SAME, np.zeros_like(turn)
+        turn, half = wrap_angle(angles - self.felt), control_step / 2
+        stands, shown = np.abs(turn) < SAME, half * (self.speeds + speeds)
+        unclear = np.zeros_like(turn)
         if noise is not None and any_true(noise):
             # Noise is never the same twice: if an angle repeats, it has few counts instead.
-            half, is_noisy = control_step / 2, (noise > 0) & ~stands.any(axis=-1, keepdims=True)
-            turn = np.where(is_noisy, half * (self.speeds + speeds), turn)
+            is_noisy = (noise > 0) & ~stands.any(axis=-1, keepdims=True)
+            turn, shown = np.where(is_noisy, shown, turn), np.where(is_noisy, 0.0, shown)
             unclear = is_noisy * np.hypot(half * (speeds - self.speeds), TURN_NOISE * noise)
             stands = np.where(is_noisy, np.abs(turn) < 5 * TURN_NOISE * noise, stands)
-        after = self._replace(felt=angles, speeds=speeds, hand=hand)
-        return after._replace(turn=turn, unclear=unclear, move=move, stands=stands)
+        after = self._replace(felt=angles, speeds=speeds, shown=shown, hand=hand, turn=turn)
+        return after._replace(unclear=unclear, move=hand - self.hand, stands=stands)
 
     def doubted(self, before: Stuck) -> Bools:
         """Return which arms may have a stuck sensor, (n,), if it was so `before` an observation.
@@ -125,6 +129,7 @@ class Stuck(NamedTuple):
         size = _squared(columns) + NEGLIGIBLE
         part = (columns * lacks[:, None]).sum(axis=-1) / size
         if commanded is not None:
+            commanded = np.where(self.shown != 0, self.shown, commanded)
             low, high = np.minimum(commanded, 0), np.maximum(commanded, 0)
             part = np.clip(self.turn + part, low, high) - self.turn
         lacks_if_stuck = lacks[:, None] - columns * part[..., None]
@@ -155,7 +160,8 @@ class Stuck(NamedTuple):
 
     def corrected(self, seen: Seen, turn: Floats, control_step: float) -> Seen:
         """Return what is seen, with angles and speeds of joints that `turn`, but are stuck."""
-        speeds = np.where(self.is_stuck, turn / control_step, seen.joint_speeds)
+        is_still = self.is_stuck & (self.shown == 0)
+        speeds = np.where(is_still, turn / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
 
 
