@@ -27,6 +27,7 @@ SHORT = {
     "body_model.failures": (FEW, r"failures of mmc-body"),
     "body_model.standings": ("--stores store", r"tasks, unperturbed \(1\)"),
     "body_model.hidden_scenarios": ("--episodes 2 --only delay-60", r"delay-60 .* 100\.0"),
+    "body_model.pairs": ("--pairs 2 --episodes 3", r"(?s)success %, 3 episodes.* all 2 .* \d"),
     "learners.plain_learners": (
         "--learners ppo --seeds 0 --steps 2048 --at 2048 --jobs 1 --out out",
         r"(?s)PPO .* \[0\.\d+",
