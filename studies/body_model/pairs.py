@@ -1,7 +1,7 @@
 """Measure agents in pairs of perturbations that are drawn at random, kinds and strengths alike.
 
-No list of scenarios has these pairs, so nothing was tuned to them; some of the kinds have been
-worked on one at a time.  Some pairs begin during the movement.
+No list of scenarios has these pairs.  Defects that the pairs of seeds 0 and 1 showed were mended;
+those of other seeds were not looked at.  Some pairs begin during the movement.
 
 Printed are the mean success of each agent over all pairs, and the pairs in which `mmc-body` has
 less than 95 % of the best number, in per cent.
@@ -28,17 +28,38 @@ AGENTS: dict[str, str | Make] = {
 }
 # Least and greatest strength of each kind; numbers of joints are whole.
 KINDS = {
-    **{"rotation": (-90.0, 90.0), "gain": (0.5, 4.0), "mirror": (0.0, 180.0)},
-    **{"cursor-shift": (0.1, 0.5), "base-turn": (-40.0, 40.0)},
-    **{"longer": (10.0, 50.0), "shorter": (10.0, 50.0), "obstacles": (1, 2)},
-    **{"hand-mass": (1.0, 8.0), "force-field": (-90.0, 90.0), "gravity": (10.0, 60.0)},
-    **{"joint-friction": (0.1, 0.6), "joint-damping": (0.1, 0.6), "locked": (1, 3)},
-    **{"motor-gain": (0.3, 0.9), "motor-offset": (-0.3, 0.3), "dead-zone": (0.05, 0.3)},
-    **{"backlash": (0.05, 0.3), "action-noise": (0.02, 0.2), "action-delay": (20.0, 200.0)},
-    **{"dropped-actions": (0.1, 0.4), "held-actions": (0.1, 0.4), "servo-gain": (0.4, 0.9)},
-    **{"joint-noise": (0.01, 0.06), "vision-noise": (0.01, 0.06), "delay": (20.0, 300.0)},
-    **{"vision-delay": (20.0, 200.0), "sensor-offset": (-0.3, 0.3), "stuck-sensor": (1, 3)},
-    **{"encoder": (32, 128), "dropped-numbers": (0.02, 0.2), "held-numbers": (0.1, 0.5)},
+    "rotation": (-90.0, 90.0),
+    "gain": (0.5, 4.0),
+    "mirror": (0.0, 180.0),
+    "cursor-shift": (0.1, 0.5),
+    "base-turn": (-40.0, 40.0),
+    "longer": (10.0, 50.0),
+    "shorter": (10.0, 50.0),
+    "obstacles": (1, 2),
+    "hand-mass": (1.0, 8.0),
+    "force-field": (-90.0, 90.0),
+    "gravity": (10.0, 60.0),
+    "joint-friction": (0.1, 0.6),
+    "joint-damping": (0.1, 0.6),
+    "locked": (1, 3),
+    "motor-gain": (0.3, 0.9),
+    "motor-offset": (-0.3, 0.3),
+    "dead-zone": (0.05, 0.3),
+    "backlash": (0.05, 0.3),
+    "action-noise": (0.02, 0.2),
+    "action-delay": (20.0, 200.0),
+    "dropped-actions": (0.1, 0.4),
+    "held-actions": (0.1, 0.4),
+    "servo-gain": (0.4, 0.9),
+    "joint-noise": (0.01, 0.06),
+    "vision-noise": (0.01, 0.06),
+    "delay": (20.0, 300.0),
+    "vision-delay": (20.0, 200.0),
+    "sensor-offset": (-0.3, 0.3),
+    "stuck-sensor": (1, 3),
+    "encoder": (32, 128),
+    "dropped-numbers": (0.02, 0.2),
+    "held-numbers": (0.1, 0.5),
     "repeated-observations": (0.1, 0.6),
 }
 

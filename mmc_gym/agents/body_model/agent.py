@@ -404,7 +404,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         self, state: BodyState, problem: ReachProblem, left: Floats, before: Floats
     ) -> BodyState:
         """Return the state after targets make the servos turn the joints as they should."""
-        memory, noise = state.memory, np.sqrt(self._doubt(state))
+        memory, doubt = state.memory, self._doubt(state)
         turn, drive = self._turn(state, problem, left)
         if self.learns:
             is_early = 2 * drive.elapsed <= drive.duration
@@ -412,9 +412,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         late = state.senses.delay.late[:, None]
         if any_true(late):  # the last turn is too uncertain: as if joints turned so already
             before = np.where(late > 0, turn, before)
-        lead = drive.invert_servos(turn, left, noise, self.interface, state.motors, before)
+        lead = drive.invert_servos(turn, left, np.sqrt(doubt), self.interface, state.motors, before)
         regulator = state.regulator
-        if self.finds_motors and any_true(acts := self._regulates(state, left)):
+        if self.finds_motors and any_true(acts := self._regulates(state, left, doubt)):
             lead, regulator = self._regulate(state, problem, left, lead, np.flatnonzero(acts))
         drive = drive.send(lead, self.interface)
         return state._replace(drive=drive, memory=memory, regulator=regulator)
@@ -433,17 +433,18 @@ class BodyAgent(FeedbackAgent[BodyState]):
         filtered = posture.doubt * np.maximum(1.0, ratio)[:, None]
         return np.where(posture.is_clear, posture.noise, filtered)
 
-    def _regulates(self, state: BodyState, left: Floats) -> Bools:
+    def _regulates(self, state: BodyState, left: Floats, doubt: Floats) -> Bools:
         """Return which arms the regulator commands, (n,): only those seen as they are, in time.
 
-        Noisy angles are filtered; then motors must err by more than the noise that is left.
+        Noisy angles are filtered; then motors must err by more than the `doubt` that is left, see
+        `_doubt`.
         """
         senses, unit = state.senses, full_turn(self.interface)
         strength = self._strength(state.drive)
         acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
         is_exact = senses.posture.deviation[:, 0] < EXACT
         if not all_true(is_clear := senses.posture.is_clear[:, 0]):
-            errs_more = state.motors.error * unit**2 > self._doubt(state).mean(axis=-1)
+            errs_more = state.motors.error * unit**2 > doubt.mean(axis=-1)
             is_exact = np.where(is_clear, is_exact, errs_more)
         acts &= (senses.delay.late == 0) & is_exact
         return acts & ~state.stuck.contradicts & state.evidence.explains_hand

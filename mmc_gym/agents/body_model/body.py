@@ -8,8 +8,8 @@
 Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
 that is turned about the base; one length; one factor of all lengths, or this and the angle; all
 lengths; all lengths and the angle; and each of these with the shift c, which moves the centre of
-the turn to c / (1 − e^{iφ}).  All are tried for the
-mirror image of x, too.  Running sums over the observations,
+the turn to c / (1 − e^{iφ}).  All are tried for the mirror image of x, too.  Agents that learn from
+movement to movement try neither mirror images nor one factor.  Running sums over the observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
 
@@ -140,8 +140,8 @@ class Change(NamedTuple):
         shift.
         """
         base = self.base
-        units, error = self.looks[..., :-2], self.looks[..., -2]
-        hands = error + (given_body.lengths[:, None] * units).sum(axis=-1)
+        units = self.looks[..., :-2]
+        hands = _hands(self.looks, given_body.lengths[:, None])
         seen = _mirrored(hands, base.is_mirrored[:, None]) - base.shift[:, None]
         felt = base.turn[:, None] * (base.lengths[:, None] * units).sum(axis=-1)
         factors = (seen * felt.conj() + EXACT) / (squared(felt) + EXACT)
@@ -226,9 +226,8 @@ class BodyEvidence(NamedTuple):
     ) -> BodyEvidence:
         """Return the evidence after the hand (n,) was seen in a posture (n, N).
 
-        `follows`: whether changes are followed.  `mirrors`: whether mirrored cursors are tried,
-        and those that magnify.
-        `blur`: mean square error of the hand that is due to errors of the posture.
+        `follows`: whether changes are followed.  `mirrors`: whether cursors that mirror or magnify
+        are tried.  `blur`: mean square error of the hand that is due to errors of the posture.
         """
         units, age, is_anew = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given_body.lengths * units).sum(axis=-1)
@@ -261,8 +260,7 @@ class BodyEvidence(NamedTuple):
         """Return the sums over the last `count`, (m,), of looks, (m, 5, N + 2)."""
         is_recent = np.arange(looks.shape[1], 0, -1) <= count[:, None]
         looks = looks * is_recent[..., None]
-        hands = looks[..., -2] + (self.given_body.lengths[0] * looks[..., :-2]).sum(axis=-1)
-        return _products(looks, hands).sum(axis=1)
+        return _products(looks, _hands(looks, self.given_body.lengths[0])).sum(axis=1)
 
     def _is_lost(self, hand: Points, units: Points) -> Bools:
         """Return which arms look so unlike the best hypothesis that all begins anew, (n,).
@@ -316,6 +314,11 @@ def _is_given(sums: Points) -> Bools:
     return is_given
 
 
+def _hands(looks: Points, given_lengths: Floats) -> Points:
+    """Return the hands x = e + ℓᵀu, (..., 5), of looks, (..., 5, N + 2)."""
+    return looks[..., -2] + (given_lengths * looks[..., :-2]).sum(axis=-1)
+
+
 def _products(z: Points, hands: Points) -> Points:
     """Return w zᵀ, (..., N + 3, N + 2), of z, (..., N + 2), and hands, (...)."""
     w = np.concatenate([hands[..., None], z.conj()], axis=-1)
@@ -329,7 +332,7 @@ def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
 
 
 def hypotheses(
-    g: Floats, h: Points, given_lengths: Floats, magnifies: bool = True
+    g: Floats, h: Points, given_lengths: Floats, magnifies: bool
 ) -> tuple[Floats, Points, NDArray[Any]]:
     """Return ℓ (H, …, N), e^{iφ} (H, …) and k (H,) of H hypotheses from G (…, N, N), h (…, N).
 

@@ -121,6 +121,12 @@ def full_turn(interface: ReachInterface) -> float:
     return interface.speed_limit * interface.control_step
 
 
+def turn_by_speeds(before: Floats, after: Floats, control_step: float) -> Floats:
+    """Return how far joints turn in a control step, radians, from their speeds before and after."""
+    turn: Floats = control_step / 2 * (before + after)
+    return turn
+
+
 def bounded(values: Floats, most: float | Floats) -> Floats:
     """Return values clipped to ±most: np.clip takes twice as long for few arms."""
     return np.minimum(np.maximum(values, -most), most)
@@ -172,12 +178,12 @@ class Response(NamedTuple):
     def run_forward(
         self, joint_angles: Floats, speeds: Floats, late: Floats, control_step: float
     ) -> tuple[Floats, Floats]:
-        """Return angles and speeds of now, from those of `late` control steps (n,) ago."""
+        """Return joint angles and speeds of now, from those of `late` control steps, (n,), ago."""
         keep, gain, push = self.fit
         for back in range(int(late.max()), 0, -1):
             is_due = (back <= late)[:, None]
             after = keep * speeds + gain * self.actions[:, -back] + push
             after = np.where(is_due, after, speeds)
-            turn = np.where(is_due, control_step / 2 * (speeds + after), 0.0)
+            turn = np.where(is_due, turn_by_speeds(speeds, after, control_step), 0.0)
             joint_angles, speeds = joint_angles + turn, after
         return joint_angles, speeds

@@ -28,7 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import any_true, where
-from mmc_gym.agents.body_model.forward_model import RATE, Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.forward_model import (
+    RATE,
+    Bools,
+    Points,
+    turn_by_speeds,
+    unit_vectors,
+)
 from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.geometry import Floats
@@ -79,7 +85,7 @@ class Contacts(NamedTuple):
         How far joints turned follows from their speeds, which are less noisy than their angles.
         """
         speeds = step.before.speeds
-        turn = control_step / 2 * (speeds + step.after.speeds)
+        turn = turn_by_speeds(speeds, step.after.speeds, control_step)
         lacks = (np.abs(step.commanded - turn).max(axis=-1) > LACKED_TURN) & counts
         if not any_true(lacks):
             return self._released() if any_true(self.intended) or any_true(self.is_new) else self
@@ -100,15 +106,16 @@ class Contacts(NamedTuple):
         return where(is_new, self._remember(disc)._released()._replace(is_new=is_new), after)
 
     def _released(self) -> Contacts:
-        """Return the memory of obstacles with new sums, for arms that nothing holds back."""
+        """Return the contacts with empty running sums, for arms that nothing holds back."""
         arms, points = self.intended.shape
         start = self.start(arms, points // len(POINTS))
         return start._replace(discs=self.discs, located=self.located)
 
     def _pressed(self, intended: Floats, actual: Floats, lost: Floats) -> Contacts:
-        """Return the running sums one control step later.
+        """Return the contacts with running sums that count one more control step.
 
-        The points should have moved by `intended`, did move by `actual`, and lost speed.
+        In it, points of the arm should have moved by `intended`, but moved by `actual`, and became
+        slower by `lost`, segment lengths per control step.
         """
         total = RECENT * self.intended + np.abs(intended)
         moved = RECENT * self.actual + np.abs(actual)

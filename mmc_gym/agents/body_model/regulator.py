@@ -196,6 +196,6 @@ class Regulator(NamedTuple):
 
 @cache
 def _given(joints: int) -> Floats:
-    """Return (A₀, T₀)ᵀ, (3 N + 1, 2 N)."""
+    """Return what the given servos make of (1, v, u₋, u): (A₀, T₀)ᵀ, (3 N + 1, 2 N)."""
     given = [np.kron(of, np.eye(joints)) for of in (GIVEN_OF_SPEED, (0, 0), GIVEN_OF_COMMAND)]
     return np.concatenate([np.zeros((1, 2 * joints)), *given])

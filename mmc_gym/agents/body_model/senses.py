@@ -68,8 +68,9 @@ from mmc_gym.agents.body_model.forward_model import (
     command_of,
     commanded_turn,
     full_turn,
+    hand,
     squared,
-    to_hand,
+    turn_by_speeds,
 )
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.parts import Parts
@@ -148,7 +149,8 @@ class Senses(NamedTuple):
         posture, angles, speeds = self.posture, seen.joint_angles, seen.joint_speeds
         joints = angles.shape[-1]
         is_steady = (speeds != 0) & (posture.speeds != 0)
-        turn = np.where(is_steady, step / 2 * (speeds + posture.speeds), self.commanded)
+        by_speeds = turn_by_speeds(posture.speeds, speeds, step)
+        turn = np.where(is_steady, by_speeds, self.commanded)
         before = posture.seen - offset  # as sensors showed it
         angles = np.where(lost[:, :joints], wrap_angle(before + turn), angles)
         turned = wrap_angle(angles - before)
@@ -215,11 +217,7 @@ class Senses(NamedTuple):
         if not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
-            levers = to_hand(
-                np.stack([self.postures[:, 0], posture.likely]),
-                np.array(interface.segment_lengths),
-            )
-            way = np.abs(levers[1, :, 0] - levers[0, :, 0])
+            way = self._way_to(posture.likely, np.array(interface.segment_lengths))
             delay = delay.estimate(self.posture, posture, moved, is_sharp, hidden, way)
         if not parts.bridges_delay:  # locks still depend on when a movement is felt
             delay = delay._replace(late=self.delay.late, late_sight=self.delay.late_sight)
@@ -240,6 +238,10 @@ class Senses(NamedTuple):
             is_timely=(delay.late == 0) & is_regular,
         )
         return Senses(posture, target, delay, hand, is_hidden, postures, *history, *turns), step
+
+    def _way_to(self, joint_angles: Floats, lengths: Floats) -> Floats:
+        """Return how far the hand of a posture is from its place at the start, (n,)."""
+        return np.abs(hand(joint_angles, lengths) - hand(self.postures[:, 0], lengths))
 
     def record(self, command: Floats, interface: ReachInterface, motors: Motors) -> Senses:
         """Return the senses after commands were sent."""
@@ -315,7 +317,8 @@ class Senses(NamedTuple):
             repeats = (repeats + 1) * is_again
             ends = (self.repeats > 0) & ~is_again & ~self.is_later
             turned = wrap_angle(angles - self.posture.seen)
-            step = interface.control_step / 2 * (seen.joint_speeds + self.posture.speeds)
+            before, control_step = self.posture.speeds, interface.control_step
+            step = turn_by_speeds(before, seen.joint_speeds, control_step)
             steps = 1 + self.repeats[:, None]
             nearer = (turned - steps * step) ** 2 - (turned - step) ** 2
             lost = ends & (nearer.sum(axis=-1) < 0)
@@ -375,9 +378,8 @@ class PostureTrack(NamedTuple):
         self, joint_angles: Floats, speeds: Floats, commanded: Floats, control_step: float
     ) -> PostureTrack:
         """Return the estimate after one more observation, and turns that were commanded."""
-        half = control_step / 2
-        turn: Floats = half * (speeds + self.speeds)
-        unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
+        turn = turn_by_speeds(self.speeds, speeds, control_step)
+        unclear = control_step / 2 * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
         median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
         is_noisy = (median > 0.0) | (self.noise > 0.0)

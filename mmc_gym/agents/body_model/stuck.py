@@ -33,7 +33,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import RATE, SAME, Bools
+from mmc_gym.agents.body_model.forward_model import RATE, SAME, Bools, turn_by_speeds
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
@@ -77,14 +77,15 @@ class Stuck(NamedTuple):
         angles, radians, (n, 1), if there may be any.
         """
         angles, speeds, hand = seen.joint_angles, seen.joint_speeds, seen.hand
-        turn, half = wrap_angle(angles - self.felt), control_step / 2
-        stands, shown = np.abs(turn) < SAME, half * (self.speeds + speeds)
-        unclear = np.zeros_like(turn)
+        turn = wrap_angle(angles - self.felt)
+        shown = turn_by_speeds(self.speeds, speeds, control_step)
+        stands, unclear = np.abs(turn) < SAME, np.zeros_like(turn)
         if noise is not None and any_true(noise):
             # Noise is never the same twice: if an angle repeats, it has few counts instead.
             is_noisy = (noise > 0) & ~stands.any(axis=-1, keepdims=True)
             turn, shown = np.where(is_noisy, shown, turn), np.where(is_noisy, 0.0, shown)
-            unclear = is_noisy * np.hypot(half * (speeds - self.speeds), TURN_NOISE * noise)
+            change = control_step / 2 * (speeds - self.speeds)
+            unclear = is_noisy * np.hypot(change, TURN_NOISE * noise)
             stands = np.where(is_noisy, np.abs(turn) < 5 * TURN_NOISE * noise, stands)
         after = self._replace(felt=angles, speeds=speeds, shown=shown, hand=hand, turn=turn)
         return after._replace(unclear=unclear, move=hand - self.hand, stands=stands)
