@@ -203,6 +203,7 @@ def test_noise_of_the_joints_is_neither_a_delay_nor_a_change():
     states = [state for _, state in moments(mmc_body, "joint-noise-0.05", 40, 60, seed=5)]
     assert not states[-1].senses.delay.late.any()
     assert np.mean([state.evidence.change.is_on for state in states]) < 0.06
+    assert np.mean((states[-1].evidence.body.lengths == 1.0).all(axis=-1)) > 0.8
 
 
 def last_step(before, after, commanded):

@@ -26,10 +26,12 @@ give the parameters of each hypothesis, and its remaining square error, in close
 
     n log((S + ε) / (n + 1)) + k (4 + 2 log(n + 1))
 
-for n observations, k free parameters and a negligible square error ε.  This is the
-Bayesian information criterion (Schwarz 1978) with a heavier penalty, because neighbouring
-observations are nearly the same.  A turned cursor, or one changed length, is mostly identified from
-the first observation.  The remaining mean error is added as an offset, unless it is noise.
+for n observations, k free parameters and a negligible square error ε.  This is the Bayesian
+information criterion (Schwarz 1978) with a heavier penalty, because neighbouring observations are
+nearly the same.  A turned cursor, or one changed length, is mostly identified from the first
+observation.  If joints are noisy, filtered angles err alike for some time, which would look like
+other lengths.  So the square error of the hand that they explain is part of ε, for each observation
+after the first dozen.  The remaining mean error is added as an offset, unless it is noise.
 
 **Changes.**  Sums that remember a second cannot follow a change within a movement.  So a rival also
 predicts the hand: the best hypothesis times a complex factor m (a turn and a gain) that fits the
@@ -69,7 +71,7 @@ from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep
 from mmc_gym.geometry import Floats
 
 FORGET = 0.005  # share of the sums that is forgotten in a control step
-EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
+EXACT = 2 * 0.006**2  # ε without noise: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
 # Observations after which hypotheses are compared in every fourth control step only, and mirrored
@@ -227,7 +229,8 @@ class BodyEvidence(NamedTuple):
         """Return the evidence after the hand (n,) was seen in a posture (n, N).
 
         `follows`: whether changes are followed.  `mirrors`: whether cursors that mirror or magnify
-        are tried.  `blur`: mean square error of the hand that is due to errors of the posture.
+        are tried, and noise makes errors negligible.  `blur`: mean square error of the hand that is
+        due to errors of the posture.
         """
         units, age, is_anew = unit_vectors(joint_angles), self.age + 1, self.change.is_on
         error = hand - (self.given_body.lengths * units).sum(axis=-1)
@@ -245,7 +248,8 @@ class BodyEvidence(NamedTuple):
         change = self.change
         if follows:
             change = change.observe(self, looks, hand, is_given, blur)
-        body = self._identify(sums, mirrors, is_given, age)
+        negligible = EXACT + mirrors * np.maximum(age - FREQUENT, 0.0) * blur
+        body = self._identify(sums, mirrors, is_given, age, negligible)
         if body is not self.given_body:
             error = hand - body.seen(units)
         rate = np.maximum(RATE, 1 / age)
@@ -291,7 +295,9 @@ class BodyEvidence(NamedTuple):
         turn[changing], shift[changing] = after.turn, after.shift
         return body._replace(turn=turn, shift=shift)
 
-    def _identify(self, sums: Points, mirrors: bool, is_given: Bools, age: Floats) -> Body:
+    def _identify(
+        self, sums: Points, mirrors: bool, is_given: Bools, age: Floats, negligible: Floats
+    ) -> Body:
         if all_true(is_given):
             return self.given_body
         is_due = ~is_given & ((age < FREQUENT) | (age % 4 == 0) | self.change.is_on)
@@ -301,7 +307,8 @@ class BodyEvidence(NamedTuple):
         if any_true(is_due):
             may_be = mirrors & ((age < FREQUENT) | (age % 16 == 0) | self.change.is_on)
             may_be |= self.body.is_mirrored
-            best = most_likely(sums[is_due], may_be[is_due], self.given_body.lengths[0], mirrors)
+            due = sums[is_due], may_be[is_due], negligible[is_due]
+            best = most_likely(*due, self.given_body.lengths[0], mirrors)
             for field, best_field in zip(body, best, strict=True):
                 field[is_due] = best_field
         return body
@@ -371,22 +378,24 @@ def hypotheses(
     return np.stack(lengths), np.stack(turns), np.array(parameters)
 
 
-def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats, magnifies: bool) -> Body:
+def most_likely(
+    sums: Points, mirrors: Bools, negligible: Floats, given_lengths: Floats, magnifies: bool
+) -> Body:
     """Return the best hypothesis for each arm; mirrored only where `mirrors`, (n,).
 
-    Cursors that magnify are only tried if `magnifies`.
+    `negligible` is ε, (n,).  Cursors that magnify are only tried if `magnifies`.
     """
     to_hand = np.eye(len(given_lengths) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given_lengths
     mirrored, sums = sums[:, 0, :-2], to_hand @ sums[:, 1:] @ to_hand.T
-    least, body = _fit(sums, given_lengths, magnifies)
+    least, body = _fit(sums, negligible, given_lengths, magnifies)
     tried = np.flatnonzero(mirrors)
     if len(tried):
         sums = sums[tried]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[tried].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
         least = least[tried] - MIRROR_PARAMETERS * _penalty(sums)
-        mirrored_least, mirrored_body = _fit(sums, given_lengths, magnifies)
+        mirrored_least, mirrored_body = _fit(sums, negligible[tried], given_lengths, magnifies)
         is_better = mirrored_least < least
         mirrored_body = mirrored_body._replace(is_mirrored=is_better)
         for field, mirrored_field in zip(body, mirrored_body, strict=True):
@@ -394,7 +403,9 @@ def most_likely(sums: Points, mirrors: Bools, given_lengths: Floats, magnifies: 
     return body
 
 
-def _fit(sums: Points, given_lengths: Floats, magnifies: bool) -> tuple[Floats, Body]:
+def _fit(
+    sums: Points, negligible: Floats, given_lengths: Floats, magnifies: bool
+) -> tuple[Floats, Body]:
     """Return the least criterion for each arm, and the body behind it.
 
     Rows and columns of `sums` are for u_1 … u_N, x and 1; symbols are those of the module.
@@ -413,7 +424,7 @@ def _fit(sums: Points, given_lengths: Floats, magnifies: bool) -> tuple[Floats, 
     quadratic = (_product(g, lengths) * lengths).sum(axis=-1)  # ℓᵀ G ℓ
     error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + quadratic, 0.0)
     parameters = parameters[:, None, None] + 2 * is_shifted
-    criterion = count * np.log((error + EXACT) / (count + 1))
+    criterion = count * np.log((error + negligible) / (count + 1))
     criterion += parameters * _penalty(sums)
     is_absurd = (lengths <= 0).any(axis=-1)
     criterion = np.where(is_absurd, np.inf, criterion).reshape(-1, len(sums))
