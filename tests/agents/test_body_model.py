@@ -279,9 +279,10 @@ def test_a_sensor_is_stuck_whose_joint_moves_the_hand_and_its_angle_follows(
     "perturbation",
     ["locked-2", "rotation-60", "hand-mass-4", "longer-50", "joint-noise-0.05", "no-feedback"],
 )
-def test_hardly_any_sensor_is_taken_as_stuck_where_none_is(perturbation):
+def test_hardly_any_sensor_is_taken_as_stuck_where_none_is_and_none_drifts(perturbation):
     states = [state for _, state in moments(mmc_body, perturbation, 40, 60, 5, engine="analytic")]
     assert np.mean([state.stuck.is_stuck for state in states]) < 0.01
+    assert np.mean([state.drift.offset != 0 for state in states]) < 0.01
 
 
 @pytest.mark.parametrize("push", [0.0, 0.8])
@@ -594,6 +595,8 @@ NOT_AS_GIVEN = [
             20,
             1.0,
         ),
+        # Speeds tell that angles drift.
+        (mmc_body, {"control": "joint_delta", "perturbations": "sensor-drift-0.4"}, 30, 0.9),
         # What speeds show, not what is commanded, tells how far joints with few counts turn.
         (mmc_body, {"control": "joint_delta", "perturbations": PUSHED_WITH_FEW_COUNTS}, 20, 0.9),
         # Neither a noisy hand nor noisy joints make a locked joint one whose sensor is stuck.

@@ -9,7 +9,7 @@
 - `drive`: joint targets on the way there;
 - `motors`: what commands really do to joints, and which command turns them as they should;
 - `regulator`: the best commands near the target;
-- `stuck`: joint sensors that the hand contradicts;
+- `stuck`: joint sensors that the hand or speeds contradict;
 - `memory`: what is learned from movement to movement, if anything.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two
@@ -57,7 +57,7 @@ from mmc_gym.agents.body_model.obstacles import Contacts, RoadMap, Route
 from mmc_gym.agents.body_model.parts import ALL_PARTS, Parts
 from mmc_gym.agents.body_model.regulator import Regulator, regulates
 from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep, Senses
-from mmc_gym.agents.body_model.stuck import Stuck
+from mmc_gym.agents.body_model.stuck import Drift, Stuck
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.geometry import Floats
 from mmc_gym.interface import ReachInterface, Seen, Sensed
@@ -82,6 +82,7 @@ class BodyState(NamedTuple):
     motors: Motors
     regulator: Regulator
     stuck: Stuck
+    drift: Drift
     drive: Drive
     memory: Memory
     response: Response
@@ -129,6 +130,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             motors=Motors.start(arms, joints),
             regulator=Regulator.start(arms, joints),
             stuck=Stuck.start(sensed),
+            drift=Drift.start(sensed),
             drive=Drive.start(arms, joints),
             memory=Memory.start(arms, joints, self.parts, self.subjects),
             response=Response.start(arms, joints, LONGEST_DELAY if self.has_own_act else 0),
@@ -156,7 +158,8 @@ class BodyAgent(FeedbackAgent[BodyState]):
         lost = seen.lost if self.parts.filters else None
         if lost is not None:
             step = self.interface.control_step
-            seen = state.senses.complete(seen, lost, state.stuck.offset, step)
+            offset = state.stuck.offset - state.drift.offset
+            seen = state.senses.complete(seen, lost, offset, step)
         if self.finds_faults:
             state, seen = self._correct(state, seen)
         state = self._observe(state, seen)
@@ -174,8 +177,9 @@ class BodyAgent(FeedbackAgent[BodyState]):
         return action, state
 
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
-        """Return the state, and what is seen, with stuck sensors corrected."""
+        """Return the state, and what is seen, with sensors corrected that drift or are stuck."""
         posture, step = state.senses.posture, self.interface.control_step
+        drift, seen = state.drift.correct(seen, step)
         stuck = state.stuck.feel(seen, step, np.where(posture.is_clear, 0.0, posture.deviation))
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
@@ -189,7 +193,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             if any_true(stuck.is_stuck):
                 turn = stuck.offset - state.stuck.offset if commanded is None else commanded
                 seen = stuck.corrected(seen, turn, step)
-        return state._replace(stuck=stuck), seen
+        return state._replace(stuck=stuck, drift=drift), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:
         """Return the state with new movements begun from what was learned in earlier ones."""

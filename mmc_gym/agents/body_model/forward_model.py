@@ -30,6 +30,8 @@ Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]
 
 RATE = 0.1  # rate at which running means follow what is seen, in a control step
+KEEP = 0.97  # share of sums that is left after a control step
+SMALL = 2e-3  # a difference that does not matter to reaching, radians or segment lengths
 SAME = 1e-5  # resolution of what is seen (float32), radians or segment lengths
 
 RESPONSE_RIDGE = np.diag([1e-6, 1e-6, 1e-3])  # weights of a = 1, b = 0 and c = 0

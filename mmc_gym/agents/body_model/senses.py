@@ -143,8 +143,8 @@ class Senses(NamedTuple):
         """Return what is seen, with what is expected in the place of numbers that are lost.
 
         `lost` are those that may be, see `Seen`.  A speed of 0 is lost if its joint turned.  Hand
-        and target are seen from the first segment.  `offset` is that of stuck sensors, (n, N), and
-        `step` the control step.
+        and target are seen from the first segment.  `offset` is what is added to the angles that
+        sensors show, (n, N), and `step` the control step.
         """
         posture, angles, speeds = self.posture, seen.joint_angles, seen.joint_speeds
         joints = angles.shape[-1]

@@ -1,9 +1,9 @@
-"""Stuck sensors: joints that are felt to stand still, although the hand says that they turn.
+"""Joint sensors that are stuck, as the hand says, or drift, as speeds say.
 
-Hand, joints and commands tell one movement three times.  The hand should move by Σ J_i m_i, where
-joints turn by m_i and the columns of the Jacobian are J_i, but moves by e more.  A joint j that is
-felt to stand still may really turn by as much as explains e best, p_j, which is at most what its
-command asks of it, c_j:
+**Stuck.**  Hand, joints and commands tell one movement three times.  The hand should move by
+Σ J_i m_i, where joints turn by m_i and the columns of the Jacobian are J_i, but moves by e more.  A
+joint j that is felt to stand still may really turn by as much as explains e best, p_j, which is at
+most what its command asks of it, c_j:
 
     p_j = m_j + J_jᵀe / |J_j|²      between 0 and c_j
 
@@ -22,6 +22,12 @@ Noisy joints are felt to turn by their speeds, see `senses`.  Then |e|² counts 
 variance σ² in each coordinate.  Of what is off, too, only a tenth is corrected.
 
 The hand is in the plane or in space: vectors have 2 or 3 components.
+
+**Drift.**  An angle should turn as speeds tell, but turns by r more.  A servo does not keep its
+speed within a control step, so even if all is well |r| may be up to b: a tenth of the turn, half of
+what its speed changes by, and 0.002.  In running sums with weights 1/b², the mean r̄ is a drift if
+it is more than b̄, and than two standard errors, which noise is not.  Angles are then corrected by
+what they drifted since.
 """
 
 from __future__ import annotations
@@ -33,7 +39,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import RATE, SAME, Bools, turn_by_speeds
+from mmc_gym.agents.body_model.forward_model import (
+    KEEP,
+    RATE,
+    SAME,
+    SMALL,
+    Bools,
+    turn_by_speeds,
+)
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
@@ -164,6 +177,39 @@ class Stuck(NamedTuple):
         is_still = self.is_stuck & (self.shown == 0)
         speeds = np.where(is_still, turn / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
+
+
+class Drift(NamedTuple):
+    """How far the joint sensors of n arms with N joints drifted, as speeds tell."""
+
+    angles: Floats  # as last seen, (n, N)
+    speeds: Floats  # likewise
+    sums: Floats  # Σ w (1, r, r², b) with w = (0.002 / b)², (n, N, 4)
+    offset: Floats  # of angles since they are known to drift, radians, (n, N)
+
+    @classmethod
+    def start(cls, sensed: Sensed) -> Drift:
+        """Return what is known before a movement."""
+        zero = np.zeros_like(sensed.joint_angles)
+        return cls(sensed.joint_angles, zero, np.zeros((*zero.shape, 4)), zero)
+
+    def correct(self, seen: Seen, control_step: float) -> tuple[Drift, Seen]:
+        """Return it after an observation, and what is seen without drift."""
+        angles, speeds, x = seen.joint_angles, seen.joint_speeds, np.ones_like(self.sums)
+        by_speeds = turn_by_speeds(self.speeds, speeds, control_step)
+        bound = control_step / 2 * np.abs(speeds - self.speeds) + RATE * np.abs(by_speeds) + SMALL
+        x[..., 1] = wrap_angle(angles - self.angles) - by_speeds
+        x[..., 2], x[..., 3] = x[..., 1] ** 2, bound
+        sums = KEEP * self.sums + ((SMALL / bound) ** 2)[..., None] * x
+        count = sums[..., 0]
+        mean, square, bound = np.moveaxis(sums[..., 1:] / count[..., None], -1, 0)
+        least = np.maximum(4 * (square - mean * mean) / count, bound * bound)
+        drifts = (mean * mean > least) & (count > 1)
+        offset = self.offset
+        if any_true(drifts) or any_true(offset):
+            offset = np.where(drifts, offset + mean, (1 - RATE) * offset)
+            seen = replace(seen, joint_angles=wrap_angle(angles - offset))
+        return Drift(angles, speeds, sums, offset), seen
 
 
 def _pull(columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
