@@ -33,6 +33,7 @@ from mmc_gym.agents.body_model.body import Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import FULL_LEAD, STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.forward_model import (
     SAME,
+    SMALL,
     Bools,
     Response,
     as_points,
@@ -66,7 +67,6 @@ from mmc_gym.network import LearnedNormalizer, MMCNetwork
 LAG = 1.5  # control steps until the joints are where a command takes them
 AT_LIMIT = 0.05  # a joint nearer to its limit may be stopped by it, radians
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
-EXACT = 0.002  # noise of joint angles from which on they are not seen exactly, radians
 BETWEEN = -1  # looks of a state between two movements
 
 
@@ -179,7 +179,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with sensors corrected that drift or are stuck."""
         posture, step = state.senses.posture, self.interface.control_step
-        drift, seen = state.drift.correct(seen, step)
+        drift, seen = state.drift.correct(seen, step, posture.is_clear)
         stuck = state.stuck.feel(seen, step, np.where(posture.is_clear, 0.0, posture.deviation))
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):
@@ -446,7 +446,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
         senses, unit = state.senses, full_turn(self.interface)
         strength = self._strength(state.drive)
         acts = regulates(left / unit, strength, state.motors, state.locks.is_locked)
-        is_exact = senses.posture.deviation[:, 0] < EXACT
+        is_exact = senses.posture.deviation[:, 0] < SMALL
         if not all_true(is_clear := senses.posture.is_clear[:, 0]):
             errs_more = state.motors.error * unit**2 > doubt.mean(axis=-1)
             is_exact = np.where(is_clear, is_exact, errs_more)

@@ -59,7 +59,14 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true, of_arms, where
 from mmc_gym.agents.body_model.forward_model import (
+    CLEARLY,
+    EXACT,
+    NOISE_OF_SPEEDS,
     RATE,
+    REST_TURN,
+    SIGMAS,
+    SLOW,
+    WEAK,
     Bools,
     Points,
     as_vectors,
@@ -71,16 +78,13 @@ from mmc_gym.agents.body_model.senses import LONGEST_DELAY, LastStep
 from mmc_gym.geometry import Floats
 
 FORGET = 0.005  # share of the sums that is forgotten in a control step
-EXACT = 2 * 0.006**2  # ε without noise: negligible square error, segment lengths²
 PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
 RIDGE = 1e-3  # weight of the given lengths where lengths are free
 # Observations after which hypotheses are compared in every fourth control step only, and mirrored
 # cursors in every 16th.
 FREQUENT = 12
-MIRROR_PARAMETERS = 2  # number of free parameters that a mirrored cursor counts as
 
 SURPRISE_RATE = 0.3  # rate at which the mean square errors of predictions follow new errors
-BEGINS_AT = 0.25  # ratio of these errors at which a change begins; it ends at 1
 LOST = 0.3  # square error from which on all that is known is wrong, segment lengths²
 # Weights of five values that give the slope and the end of the least-squares line through them.
 SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 0.4, 0.6])
@@ -88,11 +92,7 @@ SLOPE, LEVEL = np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), np.array([-0.2, 0.0, 0.2, 
 LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as locked, radians
 LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
 HUMAN_SHARE = 0.25  # share of that turn that is enough at a vigour of 0
-REST_TURN = 0.004  # a joint that turns by less rests, radians
-REST_SHARE = 0.12  # share of the commanded turn by which a resting joint may turn besides
 FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
-REST_SPEED = 0.25  # a faster joint does not rest, rad/s
-REST_SPEED_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
 FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none moved
 
 
@@ -186,7 +186,7 @@ class Change(NamedTuple):
         trend = before.body(given_body, 1.0)
         error = squared(hand[failing] - trend.seen(units[failing]))
         error = before.error_of_trend + SURPRISE_RATE * (error - before.error_of_trend)
-        limit = np.where(before.is_on, 1.0, BEGINS_AT)
+        limit = np.where(before.is_on, 1.0, CLEARLY)
         error_of_trend[failing] = error
         is_on[failing] = error + EXACT < limit * (mean[failing] + EXACT)
         return Change(looks, mean, error_of_trend, is_on, base)
@@ -394,7 +394,7 @@ def most_likely(
         sums = sums[tried]  # of the mirror image of x, too
         sums[:, :-2, -2] = mirrored[tried].conj()
         sums[:, [-1, -2], [-2, -1]] = sums[:, [-2, -1], [-1, -2]]
-        least = least[tried] - MIRROR_PARAMETERS * _penalty(sums)
+        least = least[tried] - _penalty(sums)
         mirrored_least, mirrored_body = _fit(sums, negligible[tried], given_lengths, magnifies)
         is_better = mirrored_least < least
         mirrored_body = mirrored_body._replace(is_mirrored=is_better)
@@ -460,9 +460,9 @@ class Locks(NamedTuple):
     def identify(self, step: LastStep, vigour: float = 1.0) -> Locks:
         """Return the locks after a control step."""
         seen, noise = step.after.joint_angles, step.after.deviation
-        away, rest_turn = np.abs(seen - self.place), REST_TURN + 3 * noise
-        moves = away > rest_turn + REST_SHARE * np.abs(self.commanded)
-        moves |= np.abs(step.after.speeds) > REST_SPEED + REST_SPEED_PER_NOISE * noise
+        away, rest_turn = np.abs(seen - self.place), REST_TURN + SIGMAS * noise
+        moves = away > rest_turn + WEAK * np.abs(self.commanded)
+        moves |= np.abs(step.after.speeds) > SLOW + NOISE_OF_SPEEDS * noise
         is_freed = self.is_locked
         after: Floats | float = 0.0
         if any_true(self.is_locked):

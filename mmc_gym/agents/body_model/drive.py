@@ -23,7 +23,16 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import Bools, bounded, full_turn, hand, turn_share
+from mmc_gym.agents.body_model.forward_model import (
+    FAST_RATE,
+    SIGMAS,
+    SLOW,
+    Bools,
+    bounded,
+    full_turn,
+    hand,
+    turn_share,
+)
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.agents.body_model.senses import LastStep
 from mmc_gym.agents.planners import AVERAGE_SPEED, BASE_DURATION
@@ -34,12 +43,10 @@ from mmc_gym.network.time_base import share
 BRAKE = 0.6  # η: share of a joint's acceleration that the drive counts on
 GAIN = 30.0  # k: speed per angle left, 1/s
 STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration of joints, rad/s²
-LACKED_SPEED = 0.3  # a joint that lacks more of its commanded speed does what it can, rad/s
 FALL_RATE, RISE_RATE = 0.4, 0.05  # rates of the estimate; another cause may help a joint to rise
 RETARD_RATE = 0.2  # its fall where a joint slows down whose motor is not as given: a lost command?
 FULL_LEAD = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
 LARGEST_LEAD = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
-RETURN_RATE = 0.3  # rate at which a posture returns to the straight way that it left
 
 PEAK = 15 / 8  # ratio of highest and mean speed in minimum jerk
 SAMPLES = np.linspace(0.0, 1.0, 9)  # shares of a movement at which its way is measured
@@ -75,12 +82,12 @@ class Drive(NamedTuple):
             speed = step.commanded / interface.control_step
             lacked = np.where(motors.is_learned, speed - before.speeds, lacked)
             lacks = np.where(motors.is_learned, speed - speeds, lacks)
-        least = LACKED_SPEED + gain * posture.deviation
+        least = SLOW + gain * posture.deviation
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > least
         saturates &= step.is_timely[:, None]
         if not any_true(saturates):
             return self
-        saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
+        saturates &= (np.abs(speeds) > SLOW) | ~motors.differ  # a motor may not move it
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
         change = np.clip(shown, WEAKEST, STRONGEST) - old
@@ -110,7 +117,7 @@ class Drive(NamedTuple):
         aside = begin + done * way - joint_angles
         left = (1 - done) * way
         turn = self.turn(left, np.zeros_like(left), interface)
-        return in_proportion(turn, left) + RETURN_RATE * aside
+        return in_proportion(turn, left) + FAST_RATE * aside
 
     def time(
         self, begins: Bools, way: Floats, left: Floats, interface: ReachInterface, vigour: float
@@ -158,7 +165,7 @@ class Drive(NamedTuple):
         lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL_LEAD, lead)
         if any_true(noise):
             square = left * left
-            trust = square / (square + (3 * noise) ** 2 + 1e-12)
+            trust = square / (square + (SIGMAS * noise) ** 2 + 1e-12)
             lead = np.where(noise > 0, left + trust * (lead - left), lead)
         if any_true(motors.is_learned):
             unit, part = full_turn(interface), turn_share(interface)

@@ -30,9 +30,17 @@ Points: TypeAlias = NDArray[np.complexfloating]
 Bools: TypeAlias = NDArray[np.bool_]
 
 RATE = 0.1  # rate at which running means follow what is seen, in a control step
-KEEP = 0.97  # share of sums that is left after a control step
+FAST_RATE = 0.2  # that of means that must follow sooner
+KEEP, KEEP_LONG = 0.95, 0.98  # shares of sums that are left after a control step
 SMALL = 2e-3  # a difference that does not matter to reaching, radians or segment lengths
 SAME = 1e-5  # resolution of what is seen (float32), radians or segment lengths
+EXACT = 2 * 0.006**2  # negligible square error of the hand, segment lengths²
+SIGMAS = 3.0  # number of standard deviations from which on an error is unlikely
+BETTER, CLEARLY = 0.6, 0.25  # ratios of square errors at which a model is better, and clearly so
+SLOW = 0.3  # speed of a joint that hardly moves, rad/s
+NOISE_OF_SPEEDS = 15.0  # what noise of the joint angles may add to speeds, 1/s
+REST_TURN, WEAK = 0.004, 0.12  # a joint rests that turns by less, radians, or by a smaller share
+JUMP = 0.15  # movement of a hand or target that is not steady, segment lengths
 
 RESPONSE_RIDGE = np.diag([1e-6, 1e-6, 1e-3])  # weights of a = 1, b = 0 and c = 0
 LEAST_EFFECT = 0.01  # square of b that is as good as none, (rad/s)²

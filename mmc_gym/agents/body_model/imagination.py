@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from mmc_gym.agents.base import all_true, any_true
 from mmc_gym.agents.body_model.forward_model import (
+    SAME,
+    SMALL,
     Bools,
     Points,
     as_vectors,
@@ -40,10 +42,7 @@ from mmc_gym.network.embodied import Embodiment, embodied_run
 SPREAD = 1.0  # distance of the starts from the present posture, radians
 SETTLE = 30  # iterations in which the copies settle
 FOLLOW = 6  # iterations per control step in which the chosen posture follows the target
-ON_TARGET = 0.002  # an imagined hand that is nearer to the target has settled, segment lengths
-REACH_MARGIN = 1e-3  # distance of targets from the borders of the reach, segment lengths
 MISS_COST = 20.0  # cost of what a posture misses the target by, radians per segment length
-LIMIT_SLACK = 1e-6  # a joint that is farther beyond a limit is held there, radians
 DAMPING = 0.1  # λ of damped least squares, segment lengths
 LONGEST_ERROR = 0.5  # longest error that counts in damped least squares, segment lengths
 
@@ -123,7 +122,7 @@ class Imagination:
         """Return the postures in which models settle within the joint limits, (..., N)."""
         postures = self.model(problem, iterations)
         within = self.interface.within_limits(postures)
-        is_beyond = np.abs(wrap_angle(postures - within)) > LIMIT_SLACK
+        is_beyond = np.abs(wrap_angle(postures - within)) > SAME
         again = np.asarray(is_beyond.any(axis=-1))
         if any_true(again):
             held = is_beyond if problem.held is None else problem.held | is_beyond
@@ -136,7 +135,7 @@ class Imagination:
         """Return the goal postures, improved where the hand misses the target, (n, N)."""
         if problem.held is not None:
             goal = np.where(problem.held, problem.joint_angles, goal)
-        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > ON_TARGET
+        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > SMALL
         if any_true(misses):
             moved = problem._replace(joint_angles=goal).of(misses)
             goal = goal.copy()
@@ -187,7 +186,7 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     """Return the points nearest to `aim` (...) that arms of these lengths (..., N) can reach."""
     distance, reach = np.abs(aim), lengths.sum(axis=-1)
     inner = np.maximum(2 * lengths.max(axis=-1) - reach, 0.0)
-    allowed = np.minimum(np.maximum(distance, inner + REACH_MARGIN), reach - REACH_MARGIN)
+    allowed = np.minimum(np.maximum(distance, inner + SMALL), reach - SMALL)
     if all_true(allowed == distance):
         return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)

@@ -25,19 +25,22 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import Bools, bounded
+from mmc_gym.agents.body_model.forward_model import (
+    BETTER,
+    CLEARLY,
+    FAST_RATE,
+    KEEP,
+    WEAK,
+    Bools,
+    bounded,
+)
 from mmc_gym.geometry import Floats
 
 GIVEN = np.array([0.19, 0.77, 0.0])  # a₀, g₀ and b of the given servo
 RIDGE = np.diag([0.5, 0.01, 1.0])  # Λ, in full turns squared
-KEEP = 0.95  # λ: share of the sums that is left after a control step
 CHANGE = 0.2  # V: change of a turn from which on torque may be at its limit, full turns
-RATE = 0.2  # rate of the running squares
-WORSE = 4.0  # ratio of the given servo's square error to that learned from which on the latter acts
-STAYS = 0.25  # and down to which it still does
-SMALL = 2e-4  # square error that is as good as none, full turns squared
+AS_GOOD = 2e-4  # square error that is as good as none, full turns squared
 OTHER = 2e-3  # square error of a motor that clearly is not the given servo, full turns squared
-LEAST_STRENGTH = 0.12  # |g| of a motor that is used: a weaker one is locked
 LEAST_CHANGE = 0.1  # change of a turn that a given servo always can, full turns
 
 
@@ -74,20 +77,20 @@ class Motors(NamedTuple):
         sizes[..., 0] = np.minimum(np.abs(error), np.abs(turn - limited))
         sizes[..., 1], sizes[..., 2] = turn - learned, turn - before
         weight = (counts / (1 + ((learned - before) / CHANGE) ** 2))[..., None]
-        running = self.running + RATE * weight * (sizes * sizes - self.running)
+        running = self.running + FAST_RATE * weight * (sizes * sizes - self.running)
         keep, weighted = np.where(counts, KEEP, 1.0)[..., None], weight * x
         squares = keep[..., None] * self.squares + weighted[..., None] * x[..., None, :]
         products = keep * self.products + weighted * error[..., None]
         fit = GIVEN + np.linalg.solve(squares + RIDGE, products[..., None])[..., 0]
-        ratio = np.where(self.is_learned, STAYS, WORSE)
-        is_better = running[..., 0] > ratio * (running[..., 1] + SMALL)
-        is_learned = is_better & (np.abs(fit[..., 1]) > LEAST_STRENGTH)
+        ratio = np.where(self.is_learned, 1 / BETTER, CLEARLY)
+        is_better = running[..., 1] + AS_GOOD < ratio * running[..., 0]
+        is_learned = is_better & (np.abs(fit[..., 1]) > WEAK)
         return Motors(squares, products, fit, running, is_learned)
 
     @property
     def differ(self) -> Bools:
         """Which motors are not as given, or bear a load, (n, N)."""
-        differ: Bools = self.running[..., 0] > SMALL
+        differ: Bools = self.running[..., 0] > AS_GOOD
         return differ
 
     @property
@@ -122,5 +125,5 @@ class Motors(NamedTuple):
     def inverse(self, turn: Floats, before: Floats, unit: float) -> Floats:
         """Return the command for a turn by what is learned, radians."""
         lasting, gain, push = np.moveaxis(self.fit, -1, 0)
-        gain = np.copysign(np.maximum(np.abs(gain), LEAST_STRENGTH), gain)
+        gain = np.copysign(np.maximum(np.abs(gain), WEAK), gain)
         return (turn - lasting * before - push * unit) / gain

@@ -50,7 +50,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import any_true
-from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.agents.body_model.forward_model import KEEP, KEEP_LONG, Bools
 from mmc_gym.agents.body_model.motors import Motors
 from mmc_gym.geometry import Floats
 
@@ -60,8 +60,6 @@ RIDGE = 0.1  # Λ, in full turns squared
 LEAST = 1e-9  # spread of the changes that is as good as none, full turns⁴
 SHOWN = 0.7  # share of the changes of a turn lately seen that a motor can make again
 SMOOTH = 0.05  # ρ where κ is 0, segment lengths²
-KEEP_ERRORS = 0.95  # the same of the sums that κ follows from
-KEEP = 0.98  # λ: share of the sums that is left after a control step
 POSTURE = 0.1  # ε, segment lengths²
 NEAR = 7.0  # control steps in which a joint at rest could gain the angle left as its turn
 
@@ -125,12 +123,12 @@ class Regulator(NamedTuple):
             for of_speed, of_command in zip(GIVEN_OF_SPEED, GIVEN_OF_COMMAND, strict=True)
         ]
         error = np.concatenate([after - given[0], turn - given[1]], axis=-1)
-        squares = KEEP * self.squares + x[..., None] * x[:, None]
-        products = KEEP * self.products + x[..., None] * error[:, None]
+        squares = KEEP_LONG * self.squares + x[..., None] * x[:, None]
+        products = KEEP_LONG * self.products + x[..., None] * error[:, None]
         y = np.ones((*turn.shape, 3))
         y[..., 1] = (commanded - self.last) ** 2
         y[..., 2] = (turn - (self.fit[..., turn.shape[1] :] * x[..., None]).sum(axis=1)) ** 2
-        errors = KEEP_ERRORS * self.errors + y[..., None] * y[..., None, :]
+        errors = KEEP * self.errors + y[..., None] * y[..., None, :]
         fit = self.fit
         if any_true(differs):
             ridge, fit = RIDGE * np.eye(x.shape[1]), fit.copy()

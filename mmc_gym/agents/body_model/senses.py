@@ -59,8 +59,13 @@ import numpy as np
 
 from mmc_gym.agents.base import all_true, any_true, where
 from mmc_gym.agents.body_model.forward_model import (
+    BETTER,
+    FAST_RATE,
+    JUMP,
+    NOISE_OF_SPEEDS,
     RATE,
     SAME,
+    SIGMAS,
     Bools,
     Points,
     as_points,
@@ -80,22 +85,17 @@ from mmc_gym.interface import ReachInterface, Seen, Sensed
 MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
 SLIP = 0.7  # share of a joint's difference from its commanded turn that remains a step later
 SERVO_ERROR = 0.05  # error of a commanded turn, as a share of it
-UNLIKELY = 9.0  # (three standard deviations)², per variance
-BIASED = UNLIKELY * RATE / (2 - RATE)  # the same of a running mean
+BIASED = SIGMAS**2 * RATE / (2 - RATE)  # bound of the square of a running mean, per variance
 MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
 CLEAR = 0.01  # noise of the joint angles below which they are taken as they are seen, radians
 
 JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
-TARGET_JUMP = 0.15  # a target that is farther from its prediction has jumped, segment lengths
 SETTLED = 4  # observations after a jump until the third difference is noise alone
 
 LONGEST_DELAY = 32  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
-ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
-REVEALED = 0.15  # one that was seen at rest and moves by more was hidden until now, likewise
 ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
 TURNED = 1e-3  # a turn of a joint that moves the hand, radians
-TURNED_PER_NOISE = 4.0  # what noise of the joint angles adds to it
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
 
 
@@ -170,11 +170,12 @@ class Senses(NamedTuple):
         """
         posture = self.posture
         turned = np.abs(wrap_angle(seen.joint_angles - posture.seen))
-        begin: Bools = turned.max(axis=-1) > 2 * full_turn(interface) + 6 * posture.deviation[:, 0]
+        farthest = full_turn(interface) + SIGMAS * posture.deviation[:, 0]
+        begin: Bools = turned.max(axis=-1) > 2 * farthest
         if any_true(begin):
             begin &= np.abs(seen.joint_speeds).max(axis=-1) < _onset(posture)
             moved = np.abs(as_points(seen.target) - self.target.predict(np.ones(len(begin))))
-            begin &= moved > TARGET_JUMP
+            begin &= moved > JUMP
             if seen.lost is not None:
                 is_seen = ~seen.lost
                 begin &= is_seen[:, : turned.shape[-1]].all(axis=-1) & is_seen[:, -1]
@@ -186,7 +187,7 @@ class Senses(NamedTuple):
         if any_true(is_hidden):
             turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
             noise = self.posture.deviation[:, 0]
-            is_hidden &= self.is_hidden | (turned > TURNED + TURNED_PER_NOISE * noise)
+            is_hidden &= self.is_hidden | (turned > TURNED + SIGMAS * noise)
         return is_hidden
 
     def update(
@@ -422,7 +423,7 @@ class PostureTrack(NamedTuple):
         variance += (noise + SAME**2)[:, None, None] * np.eye(2)
         pull = np.linalg.solve(variance, error[..., None])[..., 0]
         turn = (spread * pull[:, None]).sum(axis=-1)
-        is_likely = (error * pull).sum(axis=-1) < UNLIKELY
+        is_likely = (error * pull).sum(axis=-1) < SIGMAS**2
         return self.joint_angles + is_likely[:, None] * turn
 
     @property
@@ -507,8 +508,8 @@ class TargetTrack(NamedTuple):
         keep = 1 - forget
         velocity = self.velocity + 2 * self.curve + 1.5 * forget**2 * (1 + keep) * error
 
-        resting = self.error_resting + 0.2 * (squared(stray) - self.error_resting)
-        moving = self.error_moving + 0.2 * (squared(error) - self.error_moving)
+        resting = self.error_resting + FAST_RATE * (squared(stray) - self.error_resting)
+        moving = self.error_moving + FAST_RATE * (squared(error) - self.error_moving)
         moving = np.where(is_settled, moving, resting)
         after = TargetTrack(
             history=np.concatenate([self.history[:, 1:], target[:, None]], axis=1),
@@ -523,7 +524,7 @@ class TargetTrack(NamedTuple):
             age=age,
             seen=seen,
             has_jumped=jumps,
-            is_moving=(moving < 0.5 * resting) & (age > SETTLED) & moves.all(axis=-1),
+            is_moving=(moving < BETTER * resting) & (age > SETTLED) & moves.all(axis=-1),
         )
         if any_true(jumps):
             fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
@@ -533,9 +534,10 @@ class TargetTrack(NamedTuple):
     def _jumps(self, error: Points, stray: Points) -> Bools:
         """Return which targets jump, from their errors to the moving and the resting prediction."""
         is_moving = self.is_moving
-        usual = 6 * np.sqrt(self.noise) + 3 * np.sqrt(np.where(is_moving, self.error_moving, 0.0))
+        error_moving = np.where(is_moving, self.error_moving, 0.0)
+        usual = SIGMAS * (2 * np.sqrt(self.noise) + np.sqrt(error_moving))
         far = np.abs(np.where(is_moving, error, stray))
-        return (self.seen >= SETTLED) & (far > TARGET_JUMP + usual)
+        return (self.seen >= SETTLED) & (far > JUMP + usual)
 
     def _noise_after(self, target: Points) -> Floats:
         """Return the variance σ² of the noise of targets after one more observation, (n,)."""
@@ -546,7 +548,7 @@ class TargetTrack(NamedTuple):
 
     def accept(self, target: Points) -> TargetTrack:
         """Return the estimate after one more observation, taken as exact and at rest."""
-        return self._replace(mean=target, has_jumped=np.abs(target - self.mean) > TARGET_JUMP)
+        return self._replace(mean=target, has_jumped=np.abs(target - self.mean) > JUMP)
 
     def predict(self, steps: Floats) -> Points:
         """Return where the target will be some control steps (n,) after the observation."""
@@ -613,7 +615,7 @@ class Delay(NamedTuple):
         waited = np.clip(self.due - 1 - hidden, 0, LONGEST_DELAY)
         late = np.where(self.is_felt, self.late, waited)
         is_hidden = ~self.is_seen & (
-            (self.due > LONGEST_DELAY + 1) | (moved > np.maximum(REVEALED, way / 2))
+            (self.due > LONGEST_DELAY + 1) | (moved > np.maximum(JUMP, way / 2))
         )
         late_sight = np.where(self.is_seen, self.late_sight, np.where(is_hidden, late, waited))
         is_felt = moves | self.is_felt
@@ -654,4 +656,4 @@ class Delay(NamedTuple):
 
 def _onset(posture: PostureTrack) -> Floats:
     """Return the least speed that is a movement, not noise, rad/s, (n,)."""
-    return ONSET + ONSET_PER_NOISE * posture.deviation[:, 0]
+    return ONSET + NOISE_OF_SPEEDS * posture.deviation[:, 0]

@@ -27,7 +27,8 @@ from typing_extensions import override
 
 from mmc_gym.agents.base import FeedbackAgent, any_true, where
 from mmc_gym.agents.body_model.body import PENALTY
-from mmc_gym.agents.body_model.forward_model import Bools
+from mmc_gym.agents.body_model.forward_model import FAST_RATE, KEEP_LONG, REST_TURN, WEAK, Bools
+from mmc_gym.agents.body_model.imagination import SPREAD
 from mmc_gym.agents.body_model.parts import Parts
 from mmc_gym.agents.body_model.stuck import Stuck
 from mmc_gym.geometry import Floats, damped_least_squares
@@ -40,18 +41,14 @@ SpatialModel: TypeAlias = Callable[[HingeArm, Floats, Floats, Bools, float], Flo
 Joints start at angles (m, n); some of them, (n,), keep these.
 """
 
-FORGET_LINKS = 0.02  # share of the sums that is forgotten in a control step
 EXACT_SHARE = 1e-3  # negligible error, shares of the reach
 PRIOR = 0.1  # likely share by which a link is longer, where its length leaves a negligible error
-LINK_OFFSET_RATE = 0.3  # rate at which the offset follows the errors
-MOVED_SHARE = 0.12  # a joint rests that turns by a smaller share of the commanded turn
-MOVED_TURN = 0.006  # and so does one that turns by less, radians
 HELD_AFTER = 0.12  # commanded turn of a resting joint until it is taken as locked, radians
 SUCCESS = 0.03  # success distance if none is given, shares of the reach
 TOLERANCE_SHARE = 0.1  # tolerance of the imagined hand, shares of the success distance
 FREE_SHARE = 0.8  # what a posture may miss without a cost, shares of the success distance
 MISS_COST_PER_REACH = 100.0  # cost of what a posture misses beyond that, radians per reach
-AROUND, AROUND_SPREAD = 16, 1.0  # postures around the present one, and how far off, radians
+AROUND = 16  # number of postures around the present one that are tried
 DAMPING_SHARE = 0.1  # λ of damped least squares, shares of the reach
 
 
@@ -88,7 +85,7 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         self.reach = np.linalg.norm(links_of(self.arm), axis=1).sum()
         self.within = interface.success_distance or SUCCESS * self.reach
         shape = AROUND, self.arm.joint_count
-        self.around = np.random.default_rng(0).normal(0.0, AROUND_SPREAD, shape)
+        self.around = np.random.default_rng(0).normal(0.0, SPREAD, shape)
 
     @override
     def start(self, sensed: Sensed) -> SpatialState:
@@ -145,8 +142,8 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         farthest = self.interface.speed_limit * self.interface.control_step
         commanded = np.abs(state.goal - state.joint_angles).clip(max=farthest)
         turned = np.abs(joint_angles - state.joint_angles)
-        more = commanded * (self.parts.finds_locks & (commanded > MOVED_TURN))
-        moves = turned > np.maximum(MOVED_SHARE * commanded, MOVED_TURN)
+        more = commanded * (self.parts.finds_locks & (commanded > REST_TURN))
+        moves = turned > np.maximum(WEAK * commanded, REST_TURN)
         waited = np.where(moves, 0.0, state.waited + more)
         return state._replace(joint_angles=joint_angles, waited=waited, looks=state.looks + 1)
 
@@ -154,11 +151,11 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
         columns = np.swapaxes(self._turned_links(state.joint_angles)[0], 1, 2)
         error = hand - columns.sum(axis=-1)
         w = np.concatenate([columns, error[..., None]], axis=-1)
-        sums = (1 - FORGET_LINKS) * state.sums + np.swapaxes(w, -1, -2) @ w
+        sums = KEEP_LONG * state.sums + np.swapaxes(w, -1, -2) @ w
         exact = (EXACT_SHARE * self.reach) ** 2
         shares = np.array([likely_shares(*pair, exact) for pair in zip(sums, state.looks)])
         left = error - (columns * shares[:, None]).sum(axis=-1)
-        rate = np.maximum(LINK_OFFSET_RATE, 1 / state.looks)[:, None]
+        rate = np.maximum(FAST_RATE, 1 / state.looks)[:, None]
         offset = state.offset + rate * (left - state.offset)
         return state._replace(sums=sums, shares=shares, offset=offset)
 

@@ -27,7 +27,7 @@ The hand is in the plane or in space: vectors have 2 or 3 components.
 speed within a control step, so even if all is well |r| may be up to b: a tenth of the turn, half of
 what its speed changes by, and 0.002.  In running sums with weights 1/b², the mean r̄ is a drift if
 it is more than b̄, and than two standard errors, which noise is not.  Angles are then corrected by
-what they drifted since.
+what they drifted since.  What repeats tells nothing.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ import numpy as np
 
 from mmc_gym.agents.base import any_true
 from mmc_gym.agents.body_model.forward_model import (
-    KEEP,
+    BETTER,
+    KEEP_LONG,
     RATE,
     SAME,
     SMALL,
@@ -50,7 +51,6 @@ from mmc_gym.agents.body_model.forward_model import (
 from mmc_gym.geometry import Floats, wrap_angle
 from mmc_gym.interface import Seen, Sensed
 
-BETTER = 0.5  # ratio of these sums below which a sensor is stuck
 EXACT = 3e-5  # sum of square errors that is as good as none, segment lengths²
 TURN_NOISE = 0.15  # standard deviation of a turn that speeds tell, per that of joint angles
 NEGLIGIBLE = 1e-3  # square of a joint's distance from the hand that is as good as 0, likewise
@@ -193,18 +193,24 @@ class Drift(NamedTuple):
         zero = np.zeros_like(sensed.joint_angles)
         return cls(sensed.joint_angles, zero, np.zeros((*zero.shape, 4)), zero)
 
-    def correct(self, seen: Seen, control_step: float) -> tuple[Drift, Seen]:
-        """Return it after an observation, and what is seen without drift."""
+    def correct(self, seen: Seen, control_step: float, is_clear: Bools) -> tuple[Drift, Seen]:
+        """Return it after an observation, and what is seen without drift.
+
+        No drift is looked for where angles were not free of noise (`is_clear`, (n, 1)).
+        """
         angles, speeds, x = seen.joint_angles, seen.joint_speeds, np.ones_like(self.sums)
         by_speeds = turn_by_speeds(self.speeds, speeds, control_step)
         bound = control_step / 2 * np.abs(speeds - self.speeds) + RATE * np.abs(by_speeds) + SMALL
-        x[..., 1] = wrap_angle(angles - self.angles) - by_speeds
+        turn = wrap_angle(angles - self.angles)
+        x[..., 1] = turn - by_speeds
         x[..., 2], x[..., 3] = x[..., 1] ** 2, bound
-        sums = KEEP * self.sums + ((SMALL / bound) ** 2)[..., None] * x
-        count = sums[..., 0]
+        is_new = (turn != 0) | (speeds != self.speeds)
+        weight = is_new * (SMALL / bound) ** 2
+        sums = KEEP_LONG * self.sums + weight[..., None] * x
+        count = sums[..., 0] + SAME
         mean, square, bound = np.moveaxis(sums[..., 1:] / count[..., None], -1, 0)
         least = np.maximum(4 * (square - mean * mean) / count, bound * bound)
-        drifts = (mean * mean > least) & (count > 1)
+        drifts = (mean * mean > least) & (count > 1) & is_clear
         offset = self.offset
         if any_true(drifts) or any_true(offset):
             offset = np.where(drifts, offset + mean, (1 - RATE) * offset)
