@@ -191,8 +191,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
             compared = stuck.compare(model, posture.joint_angles, commanded, counts, noise)
             stuck = where(doubted, compared, stuck)
             if any_true(stuck.is_stuck):
-                turn = stuck.offset - state.stuck.offset if commanded is None else commanded
-                seen = stuck.corrected(seen, turn, step)
+                seen = stuck.corrected(seen, state.stuck, step)
         return state._replace(stuck=stuck, drift=drift), seen
 
     def _begin_movements(self, state: BodyState, seen: Seen) -> BodyState:

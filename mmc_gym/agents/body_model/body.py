@@ -65,7 +65,6 @@ from mmc_gym.agents.body_model.forward_model import (
     RATE,
     REST_TURN,
     SIGMAS,
-    SLOW,
     WEAK,
     Bools,
     Points,
@@ -93,6 +92,7 @@ LOCKED_AFTER = 0.4  # commanded turn of a resting joint until it is taken as loc
 LOCKED_AFTER_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
 HUMAN_SHARE = 0.25  # share of that turn that is enough at a vigour of 0
 FREED_AT = 0.06  # a locked joint that is farther from its place is free, radians
+REST_SPEED = 0.25  # a faster joint does not rest, rad/s
 FELT_BY = LONGEST_DELAY + 1  # observations after which joints may be locked, though none moved
 
 
@@ -462,7 +462,7 @@ class Locks(NamedTuple):
         seen, noise = step.after.joint_angles, step.after.deviation
         away, rest_turn = np.abs(seen - self.place), REST_TURN + SIGMAS * noise
         moves = away > rest_turn + WEAK * np.abs(self.commanded)
-        moves |= np.abs(step.after.speeds) > SLOW + NOISE_OF_SPEEDS * noise
+        moves |= np.abs(step.after.speeds) > REST_SPEED + NOISE_OF_SPEEDS * noise
         is_freed = self.is_locked
         after: Floats | float = 0.0
         if any_true(self.is_locked):

@@ -26,7 +26,6 @@ from mmc_gym.agents.base import any_true
 from mmc_gym.agents.body_model.forward_model import (
     FAST_RATE,
     SIGMAS,
-    SLOW,
     Bools,
     bounded,
     full_turn,
@@ -43,8 +42,8 @@ from mmc_gym.network.time_base import share
 BRAKE = 0.6  # η: share of a joint's acceleration that the drive counts on
 GAIN = 30.0  # k: speed per angle left, 1/s
 STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration of joints, rad/s²
-FALL_RATE, RISE_RATE = 0.4, 0.05  # rates of the estimate; another cause may help a joint to rise
-RETARD_RATE = 0.2  # its fall where a joint slows down whose motor is not as given: a lost command?
+LACKED_SPEED = 0.3  # a joint that lacks more of its commanded speed does what it can, rad/s
+FALL_RATE, RISE_RATE = 0.4, 0.05  # rates of the estimate
 FULL_LEAD = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
 LARGEST_LEAD = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
 
@@ -72,7 +71,9 @@ class Drive(NamedTuple):
         """Return the drive with its estimate of joints' accelerations after a control step.
 
         Only joints that lack much of their commanded speed show how fast they can accelerate: more
-        than noise of their angles asks for.
+        than noise of their angles asks for.  Another cause may help a joint to accelerate.  Where
+        one slows down whose motor is not as given, the command may be lost, and the estimate falls
+        by `FAST_RATE`.
         """
         before, posture = step.before, step.after
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
@@ -82,16 +83,16 @@ class Drive(NamedTuple):
             speed = step.commanded / interface.control_step
             lacked = np.where(motors.is_learned, speed - before.speeds, lacked)
             lacks = np.where(motors.is_learned, speed - speeds, lacks)
-        least = SLOW + gain * posture.deviation
+        least = LACKED_SPEED + gain * posture.deviation
         saturates = np.minimum(np.abs(lacked), np.abs(lacks)) > least
         saturates &= step.is_timely[:, None]
         if not any_true(saturates):
             return self
-        saturates &= (np.abs(speeds) > SLOW) | ~motors.differ  # a motor may not move it
+        saturates &= (np.abs(speeds) > LACKED_SPEED) | ~motors.differ  # a motor may not move it
         old = self.acceleration
         shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
         change = np.clip(shown, WEAKEST, STRONGEST) - old
-        fall = np.where(motors.differ & (shown < 0), RETARD_RATE, FALL_RATE)
+        fall = np.where(motors.differ & (shown < 0), FAST_RATE, FALL_RATE)
         rate = np.where(change > 0, RISE_RATE, fall)
         estimate = old + rate * change
         return self._replace(acceleration=np.where(saturates, estimate, old))

@@ -37,7 +37,6 @@ SAME = 1e-5  # resolution of what is seen (float32), radians or segment lengths
 EXACT = 2 * 0.006**2  # negligible square error of the hand, segment lengths²
 SIGMAS = 3.0  # number of standard deviations from which on an error is unlikely
 BETTER, CLEARLY = 0.6, 0.25  # ratios of square errors at which a model is better, and clearly so
-SLOW = 0.3  # speed of a joint that hardly moves, rad/s
 NOISE_OF_SPEEDS = 15.0  # what noise of the joint angles may add to speeds, 1/s
 REST_TURN, WEAK = 0.004, 0.12  # a joint rests that turns by less, radians, or by a smaller share
 JUMP = 0.15  # movement of a hand or target that is not steady, segment lengths

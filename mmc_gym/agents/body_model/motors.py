@@ -26,7 +26,6 @@ import numpy as np
 
 from mmc_gym.agents.base import any_true
 from mmc_gym.agents.body_model.forward_model import (
-    BETTER,
     CLEARLY,
     FAST_RATE,
     KEEP,
@@ -82,7 +81,7 @@ class Motors(NamedTuple):
         squares = keep[..., None] * self.squares + weighted[..., None] * x[..., None, :]
         products = keep * self.products + weighted * error[..., None]
         fit = GIVEN + np.linalg.solve(squares + RIDGE, products[..., None])[..., 0]
-        ratio = np.where(self.is_learned, 1 / BETTER, CLEARLY)
+        ratio = np.where(self.is_learned, 1 / CLEARLY, CLEARLY)
         is_better = running[..., 1] + AS_GOOD < ratio * running[..., 0]
         is_learned = is_better & (np.abs(fit[..., 1]) > WEAK)
         return Motors(squares, products, fit, running, is_learned)

@@ -9,9 +9,9 @@ seen.  Over the last control steps,
     r = Σ |a·n| / Σ |w·n|
 
 is nearly 0 at the point of contact.  A load that gathers speed looks similar, but no point of it
-loses speed in a blow.  So a point that lost speed counts as in contact after a few control steps of
-small r, any other point only after many.  There a disc of `RADIUS` is remembered, on the side to
-which the point should move.
+loses speed in a blow.  So a point that lost speed counts as in contact once r is small, any other
+point only after many control steps of small r.  There a disc of `RADIUS` is remembered, on the side
+to which the point should move.
 
 **Routes.**  Postures anywhere form a map of where the arm can be.  Legs between them that lead a
 segment into a remembered disc are left out, and the shortest route from the present posture to one
@@ -44,9 +44,8 @@ POINTS = np.arange(1, 13) / 12  # positions along a segment at which contacts ar
 LACKED_TURN = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians
 RECENT = 0.6  # share of the sums of speeds that remains after a control step
 INTENDED_WAY, STOPPED_RATIO = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
-BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
-TOUCHES_AFTER_BLOW = 3  # control steps of small r until a point that lost speed is in contact
-TOUCHES = 16  # the same of any other point
+BLOW = 0.03  # loss of speed in a blow, segment lengths per control step
+TOUCHES = 16  # control steps of small r until a point that lost no speed is in contact
 RADIUS = 0.28  # radius of an obstacle, with half the thickness of a segment, segment lengths
 MOST_DISCS = 6  # number of discs that are remembered
 NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
@@ -126,7 +125,7 @@ class Contacts(NamedTuple):
 
     def _point_of_contact(self) -> tuple[Bools, NDArray[np.intp]]:
         """Return which arms are in contact, (n,), and with which of their points, (n,)."""
-        touches = self.rests >= np.where(self.blow > BLOW, TOUCHES_AFTER_BLOW, TOUCHES)
+        touches = (self.rests > 0) & ((self.blow > BLOW) | (self.rests >= TOUCHES))
         ratio = np.where(touches, self.actual / np.maximum(self.intended, 1e-9), np.inf)
         is_felt: Bools = np.any(touches, axis=-1)
         return is_felt, ratio.argmin(axis=-1)

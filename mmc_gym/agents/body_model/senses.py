@@ -66,6 +66,7 @@ from mmc_gym.agents.body_model.forward_model import (
     RATE,
     SAME,
     SIGMAS,
+    SMALL,
     Bools,
     Points,
     as_points,
@@ -95,8 +96,6 @@ SETTLED = 4  # observations after a jump until the third difference is noise alo
 LONGEST_DELAY = 32  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_OF_HAND = 4e-4  # a hand that moves by more in a control step moves, segment lengths
-TURNED = 1e-3  # a turn of a joint that moves the hand, radians
-FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
 
 
 class Senses(NamedTuple):
@@ -154,7 +153,7 @@ class Senses(NamedTuple):
         before = posture.seen - offset  # as sensors showed it
         angles = np.where(lost[:, :joints], wrap_angle(before + turn), angles)
         turned = wrap_angle(angles - before)
-        has_turned = lost[:, joints : 2 * joints] & (np.abs(turned) > TURNED)
+        has_turned = lost[:, joints : 2 * joints] & (np.abs(turned) > SMALL)
         speeds = np.where(has_turned, turned / step, speeds)
         back = np.exp(1j * (angles - seen.joint_angles)[:, 0])
         target, hand = back * as_points(seen.target), back * as_points(seen.hand)
@@ -187,7 +186,7 @@ class Senses(NamedTuple):
         if any_true(is_hidden):
             turned = np.abs(joint_angles - self.posture.seen).max(axis=-1)
             noise = self.posture.deviation[:, 0]
-            is_hidden &= self.is_hidden | (turned > TURNED + SIGMAS * noise)
+            is_hidden &= self.is_hidden | (turned > SMALL + SIGMAS * noise)
         return is_hidden
 
     def update(
@@ -213,8 +212,8 @@ class Senses(NamedTuple):
         hidden: Floats = np.zeros(len(hand))
         if not all_true(delay.is_felt) and parts.bridges_delay:
             posture, hidden = self._at_onset(seen, posture, interface.control_step)
-        if any_true(repeats):
-            posture = self._after_repeats(seen, posture, is_again, interface.control_step)
+        if any_true(is_again):  # then nothing new is seen
+            posture = where(is_again, self.posture, posture)
         if not delay.is_known:
             is_sharp = target.history[:, -1] == target.history[:, -2]
             moved = np.abs(hand - self.hand)
@@ -270,7 +269,7 @@ class Senses(NamedTuple):
         turned = np.abs(wrap_angle(seen.joint_angles - self.posture.seen))
         step = control_step * np.abs(seen.joint_speeds)
         fastest = np.arange(len(step)), step.argmax(axis=-1)
-        hidden = np.floor(turned[fastest] / np.maximum(step[fastest], TURNED))
+        hidden = np.floor(turned[fastest] / np.maximum(step[fastest], SMALL))
         hidden = np.minimum(hidden, np.maximum(self.delay.due - 1, 0))
         hidden *= ~self.delay.is_felt & (self.posture.noise[:, 0] == 0)
         if not any_true(hidden):
@@ -278,23 +277,6 @@ class Senses(NamedTuple):
         exact = self.posture.accept(seen.joint_angles, seen.joint_speeds)
         exact = exact._replace(turn=control_step * seen.joint_speeds)
         return where(hidden > 0, exact, posture), hidden
-
-    def _after_repeats(
-        self, seen: Seen, posture: PostureTrack, is_again: Bools, control_step: float
-    ) -> PostureTrack:
-        """Return the posture where observations repeat (`is_again`, (n,)), or did so until now.
-
-        A repeated one tells nothing.  After it, joints may have turned by several steps, which is
-        no noise, and their last turn follows from their speeds.
-        """
-        ends = (self.repeats > 0) & ~is_again
-        is_exact = ends & (self.posture.noise[:, 0] == 0)
-        if any_true(is_exact):
-            exact = self.posture.accept(seen.joint_angles, seen.joint_speeds)
-            posture = where(is_exact, exact, posture)
-        is_lost = (ends & ~self.is_later)[:, None]
-        turn = np.where(is_lost, seen.joint_speeds * control_step, posture.turn)
-        return where(is_again, self.posture, posture._replace(turn=turn))
 
     def _relate(
         self, seen: Seen, interface: ReachInterface
@@ -610,7 +592,7 @@ class Delay(NamedTuple):
         seen to move for longer than the longest delay.  Steps of the joints' movement that were
         `hidden`, (n,), count as not late.
         """
-        moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
+        moves = np.abs(posture.speeds).max(axis=-1) > _onset(posture)
         moves &= (posture.seen != before.seen).any(axis=-1)
         waited = np.clip(self.due - 1 - hidden, 0, LONGEST_DELAY)
         late = np.where(self.is_felt, self.late, waited)

@@ -121,8 +121,7 @@ class SpatialBodyAgent(FeedbackAgent[SpatialState]):
             before = state.joint_angles
             compared = stuck.compare(model, before, None, state.looks > 0)
             stuck = where(doubted, compared, stuck)
-            turn = stuck.offset - state.stuck.offset
-            seen = stuck.corrected(seen, turn, self.interface.control_step)
+            seen = stuck.corrected(seen, state.stuck, self.interface.control_step)
         return state._replace(stuck=stuck), seen
 
     def _see(self, state: SpatialState, joint_angles: Floats) -> tuple[Floats, Floats]:

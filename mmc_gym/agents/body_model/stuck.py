@@ -53,7 +53,6 @@ from mmc_gym.interface import Seen, Sensed
 
 EXACT = 3e-5  # sum of square errors that is as good as none, segment lengths²
 TURN_NOISE = 0.15  # standard deviation of a turn that speeds tell, per that of joint angles
-NEGLIGIBLE = 1e-3  # square of a joint's distance from the hand that is as good as 0, likewise
 
 HandModel: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """A function of postures (n, N) that returns hands (n, d) and their derivatives (n, N, d)."""
@@ -140,7 +139,7 @@ class Stuck(NamedTuple):
         _, columns = model(before + self.turn / 2)
         # What the hand's movement lacks if joints turned as they are felt to, and if one did not.
         lacks = self.move - (columns * self.turn[..., None]).sum(axis=-2)
-        size = _squared(columns) + NEGLIGIBLE
+        size = _squared(columns) + SMALL
         part = (columns * lacks[:, None]).sum(axis=-1) / size
         if commanded is not None:
             commanded = np.where(self.shown != 0, self.shown, commanded)
@@ -172,8 +171,12 @@ class Stuck(NamedTuple):
             offset=offset,
         )
 
-    def corrected(self, seen: Seen, turn: Floats, control_step: float) -> Seen:
-        """Return what is seen, with angles and speeds of joints that `turn`, but are stuck."""
+    def corrected(self, seen: Seen, before: Stuck, control_step: float) -> Seen:
+        """Return what is seen, with angles and speeds of joints whose sensors are stuck.
+
+        They turned by what `before`, a control step ago, was not yet known of them.
+        """
+        turn = self.offset - before.offset
         is_still = self.is_stuck & (self.shown == 0)
         speeds = np.where(is_still, turn / control_step, seen.joint_speeds)
         return replace(seen, joint_angles=seen.joint_angles + self.offset, joint_speeds=speeds)
@@ -224,7 +227,7 @@ def _pull(columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
     `columns` are the derivatives of the hand by the joint angles, (n, N, d).
     """
     columns = columns * is_stuck[..., None]
-    size = _squared(columns).sum(axis=-1, keepdims=True) + NEGLIGIBLE
+    size = _squared(columns).sum(axis=-1, keepdims=True) + SMALL
     turns: Floats = (columns * error[:, None]).sum(axis=-1) / size
     return turns
 
