@@ -179,7 +179,7 @@ class BodyAgent(FeedbackAgent[BodyState]):
     def _correct(self, state: BodyState, seen: Seen) -> tuple[BodyState, Seen]:
         """Return the state, and what is seen, with sensors corrected that drift or are stuck."""
         posture, step = state.senses.posture, self.interface.control_step
-        drift, seen = state.drift.correct(seen, step, posture.is_clear)
+        drift, seen = state.drift.correct(state.stuck.speeds, seen, step, posture.is_clear)
         stuck = state.stuck.feel(seen, step, np.where(posture.is_clear, 0.0, posture.deviation))
         doubted = stuck.doubted(state.stuck)
         if any_true(doubted):

@@ -136,6 +136,12 @@ def turn_by_speeds(before: Floats, after: Floats, control_step: float) -> Floats
     return turn
 
 
+def error_of_turn(before: Floats, after: Floats, control_step: float) -> Floats:
+    """Return the largest error of `turn_by_speeds`, radians: the speed may change at any time."""
+    error: Floats = control_step / 2 * np.abs(after - before)
+    return error
+
+
 def bounded(values: Floats, most: float | Floats) -> Floats:
     """Return values clipped to ±most: np.clip takes twice as long for few arms."""
     return np.minimum(np.maximum(values, -most), most)

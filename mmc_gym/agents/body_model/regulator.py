@@ -65,11 +65,11 @@ NEAR = 7.0  # control steps in which a joint at rest could gain the angle left a
 
 
 def regulates(left: Floats, strength: Floats, motors: Motors, is_locked: Bools) -> Bools:
-    """Return which arms, (n,), are near their goals with motors unlike the given servo.
+    """Return which arms, (n,), have motors unlike the given servo, and are near their goals.
 
-    Joints have the angles `left`, and can change their turn in a control step by `strength`, as far
-    as is known, both in full turns, (n, N).  Noise of commands and loose gears look like weak
-    motors, so what joints were seen to do counts, too.
+    Joints have the angles `left` to these, and can change their turn in a control step by
+    `strength`, as far as is known, both in full turns, (n, N).  Noise of commands and loose gears
+    look like weak motors, so what joints were seen to do counts, too.
     """
     differs = motors.clearly_differ
     if not any_true(differs):

@@ -73,6 +73,7 @@ from mmc_gym.agents.body_model.forward_model import (
     as_vectors,
     command_of,
     commanded_turn,
+    error_of_turn,
     full_turn,
     hand,
     squared,
@@ -362,7 +363,7 @@ class PostureTrack(NamedTuple):
     ) -> PostureTrack:
         """Return the estimate after one more observation, and turns that were commanded."""
         turn = turn_by_speeds(self.speeds, speeds, control_step)
-        unclear = control_step / 2 * np.abs(speeds - self.speeds) + MODEL_ERROR
+        unclear = error_of_turn(self.speeds, speeds, control_step) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
         median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
         is_noisy = (median > 0.0) | (self.noise > 0.0)

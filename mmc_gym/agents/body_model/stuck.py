@@ -46,6 +46,7 @@ from mmc_gym.agents.body_model.forward_model import (
     SAME,
     SMALL,
     Bools,
+    error_of_turn,
     turn_by_speeds,
 )
 from mmc_gym.geometry import Floats, wrap_angle
@@ -96,8 +97,8 @@ class Stuck(NamedTuple):
             # Noise is never the same twice: if an angle repeats, it has few counts instead.
             is_noisy = (noise > 0) & ~stands.any(axis=-1, keepdims=True)
             turn, shown = np.where(is_noisy, shown, turn), np.where(is_noisy, 0.0, shown)
-            change = control_step / 2 * (speeds - self.speeds)
-            unclear = is_noisy * np.hypot(change, TURN_NOISE * noise)
+            error = error_of_turn(self.speeds, speeds, control_step)
+            unclear = is_noisy * np.hypot(error, TURN_NOISE * noise)
             stands = np.where(is_noisy, np.abs(turn) < 5 * TURN_NOISE * noise, stands)
         after = self._replace(felt=angles, speeds=speeds, shown=shown, hand=hand, turn=turn)
         return after._replace(unclear=unclear, move=hand - self.hand, stands=stands)
@@ -186,7 +187,6 @@ class Drift(NamedTuple):
     """How far the joint sensors of n arms with N joints drifted, as speeds tell."""
 
     angles: Floats  # as last seen, (n, N)
-    speeds: Floats  # likewise
     sums: Floats  # Σ w (1, r, r², b) with w = (0.002 / b)², (n, N, 4)
     offset: Floats  # of angles since they are known to drift, radians, (n, N)
 
@@ -194,20 +194,23 @@ class Drift(NamedTuple):
     def start(cls, sensed: Sensed) -> Drift:
         """Return what is known before a movement."""
         zero = np.zeros_like(sensed.joint_angles)
-        return cls(sensed.joint_angles, zero, np.zeros((*zero.shape, 4)), zero)
+        return cls(sensed.joint_angles, np.zeros((*zero.shape, 4)), zero)
 
-    def correct(self, seen: Seen, control_step: float, is_clear: Bools) -> tuple[Drift, Seen]:
+    def correct(
+        self, before: Floats, seen: Seen, control_step: float, is_clear: Bools
+    ) -> tuple[Drift, Seen]:
         """Return it after an observation, and what is seen without drift.
 
-        No drift is looked for where angles were not free of noise (`is_clear`, (n, 1)).
+        Joints had the speeds `before`, (n, N), when last seen.  No drift is looked for where angles
+        were not free of noise (`is_clear`, (n, 1)).
         """
         angles, speeds, x = seen.joint_angles, seen.joint_speeds, np.ones_like(self.sums)
-        by_speeds = turn_by_speeds(self.speeds, speeds, control_step)
-        bound = control_step / 2 * np.abs(speeds - self.speeds) + RATE * np.abs(by_speeds) + SMALL
+        by_speeds = turn_by_speeds(before, speeds, control_step)
+        bound = error_of_turn(before, speeds, control_step) + RATE * np.abs(by_speeds) + SMALL
         turn = wrap_angle(angles - self.angles)
         x[..., 1] = turn - by_speeds
         x[..., 2], x[..., 3] = x[..., 1] ** 2, bound
-        is_new = (turn != 0) | (speeds != self.speeds)
+        is_new = (turn != 0) | (speeds != before)
         weight = is_new * (SMALL / bound) ** 2
         sums = KEEP_LONG * self.sums + weight[..., None] * x
         count = sums[..., 0] + SAME
@@ -218,7 +221,7 @@ class Drift(NamedTuple):
         if any_true(drifts) or any_true(offset):
             offset = np.where(drifts, offset + mean, (1 - RATE) * offset)
             seen = replace(seen, joint_angles=wrap_angle(angles - offset))
-        return Drift(angles, speeds, sums, offset), seen
+        return Drift(angles, sums, offset), seen
 
 
 def _pull(columns: Floats, is_stuck: Bools, error: Floats) -> Floats:
